@@ -83,19 +83,16 @@ def _schedule(seconds: float) -> None:
     bpy.app.timers.register(_call, first_interval=seconds, persistent=True)
 
 
+@guarded(IDLE_TICK_S)
 def _call() -> float | None:
     global _next_s, _inside
     if _tick is None:
         return None
-    _inside = True
+    _inside, seconds = True, IDLE_TICK_S
     try:
         seconds = _tick()
-    except Exception as error:  # whatever it is: the next tick may go well
-        tell_once(error)
-        seconds = IDLE_TICK_S
     finally:
-        _inside = False
-    _next_s = time.monotonic() + seconds
+        _inside, _next_s = False, time.monotonic() + seconds
     return seconds
 
 

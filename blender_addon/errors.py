@@ -13,16 +13,12 @@ from dataclasses import dataclass
 MISTAKE, BAD_INPUT, TRY_AGAIN, OUT_OF_MEMORY, INTERRUPTED = 1, 2, 3, 4, 130
 
 
-# what the exit code of a process says that said nothing itself; the system kills for memory, a shell tells it so
+# what the exit code of a process says that said nothing itself, else that it crashed; the system kills for memory, a
+# shell tells it so
 EXIT_KINDS = {-9: "killed", 137: "killed", OUT_OF_MEMORY: "out_of_memory"}
 
 # failures of a picture that say nothing about it: somebody gave it up
 GIVEN_UP = frozenset({"canceled", "stopped"})
-
-
-def kind_of_exit(code: int) -> str:
-    """The failure behind the exit code of a process that should not have ended."""
-    return EXIT_KINDS.get(code, "crashed")
 
 
 @dataclass(frozen=True)
@@ -31,25 +27,22 @@ class Advice:
 
     sentence: str
     remedy: str
-    exit_code: int
+    exit_code: int = BAD_INPUT
 
 
 ADVICE = {
     "no_interpreter": Advice(
-        "The renderer cannot be started",
-        'Leave "Renderer\'s Python" empty, or choose a Python that has JGHand',
-        BAD_INPUT,
+        "The renderer cannot be started", 'Leave "Renderer\'s Python" empty, or choose a Python that has JGHand'
     ),
     "no_python": Advice(
-        "The chosen Python does not exist", 'Correct the path of "Renderer\'s Python", or leave it empty', BAD_INPUT
+        "The chosen Python does not exist", 'Correct the path of "Renderer\'s Python", or leave it empty'
     ),
     "no_named_python": Advice(
-        "The Python that JGHAND_ENGINE_PYTHON names does not exist", "Correct or unset this variable", BAD_INPUT
+        "The Python that JGHAND_ENGINE_PYTHON names does not exist", "Correct or unset this variable"
     ),
     "no_tools": Advice(
         "Training, video tracking and your own hand need PyTorch, which is not installed",
         'Press "Install Training Tools" in the extension\'s preferences',
-        BAD_INPUT,
     ),
     "tools_failed": Advice(
         "The training tools could not be installed", 'Look at "Show Log" and install again', TRY_AGAIN
@@ -57,9 +50,8 @@ ADVICE = {
     "no_engine": Advice(
         "The chosen Python has no JGHand, or lacks something that it needs",
         'Leave "Renderer\'s Python" empty, or install JGHand there',
-        BAD_INPUT,
     ),
-    "protocol": Advice("Extension and renderer are of different versions", "Update the older one", BAD_INPUT),
+    "protocol": Advice("Extension and renderer are of different versions", "Update the older one"),
     "start_timeout": Advice("The renderer did not start in time", 'Look at "Show Log" and try again', TRY_AGAIN),
     "out_of_memory": Advice("Out of memory", 'Choose a smaller resolution or a lower "Quality"', OUT_OF_MEMORY),
     "killed": Advice(
@@ -75,105 +67,78 @@ ADVICE = {
         'Press "Restart Renderer", or allow a longer "Render Timeout"',
         TRY_AGAIN,
     ),
-    "broken_stream": Advice(
-        "The connection to the renderer broke",
-        'Look at "Show Log" and try again',
-        TRY_AGAIN,
-    ),
+    "broken_stream": Advice("The connection to the renderer broke", 'Look at "Show Log" and try again', TRY_AGAIN),
     "stopped": Advice("The renderer was stopped", "It starts again with the next image", TRY_AGAIN),
     "canceled": Advice("Canceled", "Start it again when it is wanted", INTERRUPTED),
     "no_graphics": Advice(
-        "The graphics driver does not draw the hand",
-        "Make the view smaller, or update the driver",
-        TRY_AGAIN,
+        "The graphics driver does not draw the hand", "Make the view smaller, or update the driver", TRY_AGAIN
     ),
     "token": Advice("Unexpected server", 'Press "Restart Renderer"', TRY_AGAIN),
     "busy": Advice("The renderer serves another program", 'Press "Restart Renderer"', TRY_AGAIN),
-    "bad_avatar": Advice(
-        "The avatar is damaged, or no JGHand avatar", 'Choose another "Avatar", or empty the field', BAD_INPUT
-    ),
-    "no_avatar": Advice(
-        "The file of the avatar does not exist", 'Choose another "Avatar", or put the file back', BAD_INPUT
-    ),
-    "bad_pack": Advice("There are no hands in this file", "Choose a zip of JGHand's hands", BAD_INPUT),
-    "bad_input": Advice("The renderer cannot use what it was given", "Correct it and try again", BAD_INPUT),
+    "bad_avatar": Advice("The avatar is damaged, or no JGHand avatar", 'Choose another "Avatar", or empty the field'),
+    "no_avatar": Advice("The file of the avatar does not exist", 'Choose another "Avatar", or put the file back'),
+    "bad_pack": Advice("There are no hands in this file", "Choose a zip of JGHand's hands"),
+    "bad_input": Advice("The renderer cannot use what it was given", "Correct it and try again"),
     "retry": Advice("The renderer could not do it now", "Try again", TRY_AGAIN),
     "internal": Advice("Internal error", 'Look at "Show Log" and report it', MISTAKE),
     "interrupted": Advice("The run was interrupted", "Start it again to continue where it stopped", INTERRUPTED),
-    "no_place": Advice("There is no folder to write to yet", "Save the file first, or choose a folder", BAD_INPUT),
-    "no_bake": Advice("There is no finished bake here", 'Press "Bake", or choose the folder of a bake', BAD_INPUT),
-    "stale_bake": Advice("The bake is not of what the scene has now", "Bake again", BAD_INPUT),
+    "no_place": Advice("There is no folder to write to yet", "Save the file first, or choose a folder"),
+    "no_bake": Advice("There is no finished bake here", 'Press "Bake", or choose the folder of a bake'),
+    "stale_bake": Advice("The bake is not of what the scene has now", "Bake again"),
     "no_pictures": Advice(
-        "There are no images to learn from",
-        'Press "Render Training Set", or choose the folder of a "Training Set"',
-        BAD_INPUT,
+        "There are no images to learn from", 'Press "Render Training Set", or choose the folder of a "Training Set"'
     ),
-    "no_usd": Advice("This Blender cannot read or write USD", "Use a Blender that was built with USD", BAD_INPUT),
+    "no_usd": Advice("This Blender cannot read or write USD", "Use a Blender that was built with USD"),
     "job_running": Advice("This is running already", "Wait until it has ended, or cancel it", TRY_AGAIN),
     # what this side refuses
     "not_a_hand": Advice(
-        "This armature is not a JGHand hand",
-        'Press "Add Hand", or "Use Existing Armature" and map its bones',
-        BAD_INPUT,
+        "This armature is not a JGHand hand", 'Press "Add Hand", or "Use Existing Armature" and map its bones'
     ),
-    "bad_bone_map": Advice("This armature's bones do not make a whole hand", "Complete the bone map", BAD_INPUT),
+    "bad_bone_map": Advice("This armature's bones do not make a whole hand", "Complete the bone map"),
     "no_hand": Advice(
         "There is no hand in this scene that is rendered",
         "Add a hand, enable one in renders, or choose another Render Engine in Render Properties",
-        BAD_INPUT,
     ),
     "hidden": Advice(
-        "This object is disabled in viewports, so Blender does not evaluate it",
-        "Enable it or its collection",
-        BAD_INPUT,
+        "This object is disabled in viewports, so Blender does not evaluate it", "Enable it or its collection"
     ),
     "scripts_blocked": Advice(
         "This file needs its Python scripts or drivers, and they are blocked",
         "If you trust the file, allow its scripts",
-        BAD_INPUT,
     ),
     "mirrored": Advice(
         "This hand is mirrored on some of the frames only",
         "Export the frames before the flip and those after it separately",
-        BAD_INPUT,
     ),
-    "zero_scale": Advice("A scale of zero is not supported", "Give the object a scale", BAD_INPUT),
+    "zero_scale": Advice("A scale of zero is not supported", "Give the object a scale"),
     "constrained": Advice(
-        "Constraints or drivers move bones of this hand, so keys alone cannot", "Mute or remove them", BAD_INPUT
+        "Constraints or drivers move bones of this hand, so keys alone cannot", "Mute or remove them"
     ),
-    "bad_joints": Advice("These joints are not a hand's motion", "Check the file", BAD_INPUT),
+    "bad_joints": Advice("These joints are not a hand's motion", "Check the file"),
     "not_editable": Advice(
         "The bones of this armature cannot be changed: it is hidden, or linked from another file",
         "Show it, or make it local",
-        BAD_INPUT,
     ),
     "bad_motion": Advice(
         "This file is no motion that JGHand can read",
         "Choose a motion file, and beside it in the file browser what it does not say itself: hand, unit, order, frame "
         "rate or part",
-        BAD_INPUT,
     ),
     "offline": Advice(
         "The networks that find a hand are not on this computer, and Blender may not go online",
         'Switch "Allow Online Access" on in the preferences, under System',
         TRY_AGAIN,
     ),
-    "other_hand": Advice("This motion is of the other hand", "Choose an armature of that hand", BAD_INPUT),
-    "not_a_camera": Advice("There is no camera of this name", "Choose a camera of the scene", BAD_INPUT),
-    "no_camera": Advice(
-        "The scene has no camera", 'Press "Add Hand Camera", or choose one in Scene Properties', BAD_INPUT
-    ),
-    "panoramic": Advice(
-        "Panoramic cameras are not supported", "Choose a perspective or orthographic camera", BAD_INPUT
-    ),
+    "other_hand": Advice("This motion is of the other hand", "Choose an armature of that hand"),
+    "not_a_camera": Advice("There is no camera of this name", "Choose a camera of the scene"),
+    "no_camera": Advice("The scene has no camera", 'Press "Add Hand Camera", or choose one in Scene Properties'),
+    "panoramic": Advice("Panoramic cameras are not supported", "Choose a perspective or orthographic camera"),
     "orthographic_lens": Advice(
-        "Orthographic cameras have no depth of field here", "Switch it off, or choose a perspective camera", BAD_INPUT
+        "Orthographic cameras have no depth of field here", "Switch it off, or choose a perspective camera"
     ),
-    "stereo": Advice(
-        "Stereoscopy and multiple views are not supported", "Switch them off and render each view", BAD_INPUT
-    ),
+    "stereo": Advice("Stereoscopy and multiple views are not supported", "Switch them off and render each view"),
     "no_world_image": Advice(
-        "The image of the world is missing", "Choose another one in World Properties, or put the file back", BAD_INPUT
+        "The image of the world is missing", "Choose another one in World Properties, or put the file back"
     ),
     "world_not_measured": Advice(
         "The light of the world is not measured at this frame",
@@ -193,22 +158,20 @@ ADVICE = {
     "no_cycles": Advice(
         "The light of the scene is measured by Cycles, which is disabled",
         "Enable Cycles Render Engine in the preferences, under Add-ons",
-        BAD_INPUT,
     ),
     "other_region": Advice(
         "The render region is not that of the scene that the hands are combined with",
         'Press "Set Up Compositing" again',
-        BAD_INPUT,
     ),
-    "empty_region": Advice("The render region has no pixels", "Draw it larger, or switch it off", BAD_INPUT),
+    "empty_region": Advice("The render region has no pixels", "Draw it larger, or switch it off"),
     "sheared_camera": Advice(
-        "The camera is sheared or mirrored by its parents", "Clear their scale or the camera's parent", BAD_INPUT
+        "The camera is sheared or mirrored by its parents", "Clear their scale or the camera's parent"
     ),
     "same_folder": Advice(
-        "The images of two cameras would lie in one folder", "Rename one of them, or render them apart", BAD_INPUT
+        "The images of two cameras would lie in one folder", "Rename one of them, or render them apart"
     ),
-    "bad_file": Advice("This file cannot be opened", "Choose a .blend file", BAD_INPUT),
-    "cannot_write": Advice("The file cannot be written", "Choose a folder that you may write to", BAD_INPUT),
+    "bad_file": Advice("This file cannot be opened", "Choose a .blend file"),
+    "cannot_write": Advice("The file cannot be written", "Choose a folder that you may write to"),
     "disk_full": Advice("The disk is full", "Free some space and start again", TRY_AGAIN),
 }
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from pathlib import Path
 
@@ -38,11 +37,6 @@ def job_folder() -> Path:
         return Path(tempfile.mkdtemp(prefix="job_", dir=user_folder("jobs")))
     except OSError as error:
         raise JGHandFailure("cannot_write", f"{error.filename}: {error.strerror or error}") from error
-
-
-def remove_job_folder(folder: Path) -> None:
-    """The job is over. What cannot be removed stays: nobody looks there again."""
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 def absolute(thing: bpy.types.Object, name: str) -> str:
@@ -82,14 +76,9 @@ def _appended(context: bpy.types.BlendImportContext, *_: object) -> None:
         thing, source = item.id, item.source_library
         if isinstance(thing, bpy.types.Object) and thing.library is None and source is not None:
             for name in _PATHS:
-                _adapt(thing, name, source)
-
-
-def _adapt(thing: bpy.types.Object, name: str, source: bpy.types.Library) -> None:
-    text = getattr(thing.jghand, name)
-    if text.startswith("//"):
-        whole = bpy.path.abspath(text, library=source)
-        setattr(thing.jghand, name, relative(whole) if bpy.data.filepath else whole)
+                if (text := getattr(thing.jghand, name)).startswith("//"):
+                    whole = bpy.path.abspath(text, library=source)
+                    setattr(thing.jghand, name, relative(whole) if bpy.data.filepath else whole)
 
 
 APP_HANDLERS = (("blend_import_post", _appended),)

@@ -46,6 +46,7 @@ class Reporting:
 
     # Blender's, of the operator that this is mixed into
     bl_idname: str
+    bl_options = UNDOABLE
     report: Callable[[set[str], str], None]
     as_keywords: Callable[[], dict[str, Any]]
 
@@ -130,7 +131,9 @@ class InTurns(Reporting):
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """One turn; everything else waits, so that nothing changes under it, unless the work is elsewhere."""
         goes_on = {"PASS_THROUGH"} if self._is_elsewhere else {"RUNNING_MODAL"}
-        is_ended = event.type == "ESC" and self._is_ended_by(context, event)
+        is_ended = event.type == "ESC"
+        if self._is_elsewhere:  # an Esc may be meant for playback
+            is_ended &= event.value == "PRESS" and not context.screen.is_animation_playing
         if not is_ended and (event.type != "TIMER" or (self._is_elsewhere and _something_is_dragged(context))):
             return goes_on
         try:
@@ -173,12 +176,6 @@ class InTurns(Reporting):
             self._timer = None
         if seconds is not None:
             self._timer = context.window_manager.event_timer_add(seconds, window=context.window)
-
-    def _is_ended_by(self, context: bpy.types.Context, event: bpy.types.Event) -> bool:
-        """Whether an Esc is meant for this: while the work is elsewhere, playback may end by it."""
-        if not self._is_elsewhere:
-            return True
-        return event.value == "PRESS" and not context.screen.is_animation_playing
 
     def _turn(self) -> float | None:
         """The part that is done after one turn; None at the end. What is elsewhere is looked at once."""

@@ -51,16 +51,8 @@ class JGHandPreferences(bpy.types.AddonPreferences):
         name="Render Device",
         description="What draws the hands. Graphics cards want a renderer's Python with the extra jghand[gpu]",
         items=(
-            (
-                "AUTO",
-                "Automatic",
-                "The processor, or a graphics card that `jghand bench --backend gpu` found faster",
-            ),
-            (
-                "GPU",
-                "Graphics Card",
-                "By Vulkan, Metal or Direct3D 12; an error where there is none",
-            ),
+            ("AUTO", "Automatic", "The processor, or a graphics card that `jghand bench --backend gpu` found faster"),
+            ("GPU", "Graphics Card", "By Vulkan, Metal or Direct3D 12; an error where there is none"),
         ),
         update=_look_again,
     )
@@ -75,8 +67,7 @@ class JGHandPreferences(bpy.types.AddonPreferences):
     )
 
     show_training: bpy.props.BoolProperty(
-        name="Show Training",
-        description="Show the panel for learning avatars in the JGHand tab",
+        name="Show Training", description="Show the panel for learning avatars in the JGHand tab"
     )
 
     def draw(self, context: bpy.types.Context) -> None:

@@ -20,8 +20,8 @@ from . import folders, preferences
 from .export import ops as export_ops
 from .export import panel as export_panel
 from .export import usd_hook
-from .hand import family, ops_motion, ops_pose, stand_ins
 from .hand import ops as hand_ops
+from .hand import ops_motion, ops_pose, stand_ins
 from .hand import panel as hand_panel
 from .hand import properties as hand_properties
 from .render import command, preview, rendering
@@ -38,13 +38,13 @@ from .viewport import handlers
 # a class comes after those that it uses; Blender shows panels in the order in which they come
 WITH_CLASSES = (
     *(preferences, hand_properties, scene_properties, render_engine, renderer_ops),
-    *(family, hand_ops, ops_pose, ops_motion),
+    *(hand_ops, ops_pose, ops_motion),
     *(render_ops, preview, export_ops, train_ops),
     *(hand_panel, render_panel, export_panel, train_panel),
 )
 # handlers, timers, menus, and what is forgotten at the end
 _WITH_HOOKS: tuple[ModuleType, ...] = (
-    *(preferences, hand_properties, family, scene_properties, runtime, usd_hook),
+    *(preferences, hand_properties, scene_properties, runtime, usd_hook),
     *(folders, handlers, rendering, render_engine, preview, command, hand_ops, ops_motion, stand_ins),
 )
 _add_classes, _remove_classes = bpy.utils.register_classes_factory(

@@ -44,12 +44,11 @@ def new_action(
 def new_fcurve(owner: bpy.types.ID, data_path: str, index: int, group: str) -> bpy.types.FCurve:
     """A curve in the action of `owner` made by `new_action`, in the named group."""
     animation = owner.animation_data
-    if hasattr(anim_utils, "action_ensure_channelbag_for_slot"):  # 5.0 and later
+    if hasattr(anim_utils, "action_ensure_channelbag_for_slot"):
         bag = anim_utils.action_ensure_channelbag_for_slot(animation.action, animation.action_slot)
         curve = bag.fcurves.new(data_path, index=index)
-        curve.group = bag.groups.get(group) or bag.groups.new(group)
-        return curve
-    curve = animation.action.fcurve_ensure_for_datablock(owner, data_path, index=index)  # 4.5
+    else:  # 4.5
+        curve = animation.action.fcurve_ensure_for_datablock(owner, data_path, index=index)
     bag = anim_utils.action_get_channelbag_for_slot(animation.action, animation.action_slot)
     curve.group = bag.groups.get(group) or bag.groups.new(group)
     return curve
@@ -76,7 +75,7 @@ def select_bones(thing: bpy.types.Object) -> None:
 
 
 def _selectable(bone: bpy.types.PoseBone) -> Any:
-    """What of a bone is selected: each object's own from 5.0 on."""
+    """What of a bone is selected, and hidden: each object's own from 5.0 on."""
     return bone if hasattr(bone, "select") else bone.bone
 
 
@@ -85,7 +84,7 @@ def visible_bones(thing: bpy.types.Object) -> list[bpy.types.PoseBone]:
     return [
         bone
         for bone in thing.pose.bones
-        if not (bone.hide if hasattr(bone, "select") else bone.bone.hide)
+        if not _selectable(bone).hide
         and (not bone.bone.collections or any(one.is_visible_effectively for one in bone.bone.collections))
     ]
 
@@ -127,9 +126,14 @@ def path_options() -> set[str]:
     return {"PATH_SUPPORTS_BLEND_RELATIVE"} if known else set()
 
 
+# from 5.0 on the compositor's nodes are a group that scenes may share, and nodes of worlds and materials are used
+# wherever they are: asking `use_nodes` warns there
+_HAS_GROUPS = "compositing_node_group" in bpy.types.Scene.bl_rna.properties
+
+
 def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
     """The compositor's nodes of a scene; None while it has none."""
-    if hasattr(scene, "compositing_node_group"):  # 5.0 and later
+    if _HAS_GROUPS:
         return scene.compositing_node_group
     return scene.node_tree if scene.use_nodes else None
 
@@ -137,7 +141,7 @@ def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
 def ensure_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
     """The same, made where there is none."""
     tree = compositor_tree(scene)
-    if tree is None and hasattr(scene, "compositing_node_group"):
+    if tree is None and _HAS_GROUPS:
         tree = scene.compositing_node_group = bpy.data.node_groups.new(scene.name, "CompositorNodeTree")
     elif tree is None:
         scene.use_nodes = True
@@ -148,25 +152,23 @@ def ensure_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
 def own_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
     """The compositor's nodes of a scene that has some, made its own where copies of the scene share them."""
     tree: bpy.types.NodeTree = compositor_tree(scene)
-    if hasattr(scene, "compositing_node_group") and tree.users > 1:
+    if _HAS_GROUPS and tree.users > 1:
         tree = scene.compositing_node_group = tree.copy()
     return tree
 
 
 def remove_compositor_tree(scene: bpy.types.Scene) -> None:
-    if not hasattr(scene, "compositing_node_group"):
+    tree = take_compositor_tree_away(scene)
+    if not _HAS_GROUPS:
         scene.use_nodes = False
-        return
-    tree = scene.compositing_node_group
-    scene.compositing_node_group = None
-    if tree is not None and not tree.users:
+    elif tree is not None and not tree.users:
         bpy.data.node_groups.remove(tree)
 
 
 def take_compositor_tree_away(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
     """Leaves a scene without compositor's nodes, and returns those that it had; in 4.5 they are a part of the scene and
     stay."""
-    if not hasattr(scene, "compositing_node_group"):
+    if not _HAS_GROUPS:
         return None
     tree, scene.compositing_node_group = scene.compositing_node_group, None
     return tree
@@ -174,15 +176,14 @@ def take_compositor_tree_away(scene: bpy.types.Scene) -> bpy.types.NodeTree | No
 
 def empty_compositor(scene: bpy.types.Scene) -> None:
     """Leaves a scene without compositor's nodes; those that it shares with another stay there."""
-    if hasattr(scene, "compositing_node_group"):
-        scene.compositing_node_group = None
-    elif scene.node_tree is not None:
+    take_compositor_tree_away(scene)
+    if not _HAS_GROUPS and scene.node_tree is not None:
         scene.node_tree.nodes.clear()
 
 
 def compositor_output(tree: bpy.types.NodeTree) -> bpy.types.Node:
     """The node whose first input is the finished picture, made where there is none."""
-    if bpy.types.Scene.bl_rna.properties.get("compositing_node_group") is None:  # 4.5
+    if not _HAS_GROUPS:
         found = [node for node in tree.nodes if node.bl_idname == "CompositorNodeComposite"]
         return next((node for node in found if node.mute is False), None) or tree.nodes.new("CompositorNodeComposite")
     found = [node for node in tree.nodes if node.bl_idname == "NodeGroupOutput"]
@@ -202,9 +203,7 @@ def combine_soft_edges(combine: bpy.types.Node) -> None:
 
 def world_tree(world: bpy.types.World | bpy.types.Material) -> bpy.types.NodeTree | None:
     """The nodes of a world, or material, that are used; None where it has only a color."""
-    # since 5.0 nodes are used wherever they are; asking `use_nodes` warns there
-    always = bpy.types.Scene.bl_rna.properties.get("compositing_node_group") is not None
-    return world.node_tree if always or world.use_nodes else None
+    return world.node_tree if _HAS_GROUPS or world.use_nodes else None
 
 
 def light_tree(light: bpy.types.Light) -> bpy.types.NodeTree | None:

@@ -91,7 +91,7 @@ def _frame(bpy, runtime) -> dict[str, float]:
     started = time.perf_counter()
     bpy.ops.render.render()
     whole_ms = 1e3 * (time.perf_counter() - started)
-    note = runtime.last_render()
+    note = runtime.render_note
     engine_ms = sum(report["total_ms"] for report in note.reports)
     return {
         "F12": whole_ms,

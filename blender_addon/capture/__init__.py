@@ -6,7 +6,6 @@ starts it as a process of its own and never imports it. What passes between the 
 and lines of JSON.
 
 __main__   the process: reads jobs, renders, reports
-scene      mesh, skin, light and camera in Blender
+scene      mesh, skin, light and camera in Blender; finished pictures with their stamp
 lit        the same in another light in every picture, with a light group each
-png        finished pictures with their stamp
 """

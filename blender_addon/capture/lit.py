@@ -16,8 +16,7 @@ import bpy
 import mathutils
 import numpy as np
 
-from .png import encoded
-from .scene import Scene, shipped_environment
+from .scene import Scene, encoded, new_world, shipped_environment
 
 # the group of all lights together
 SUM = "sum"
@@ -42,7 +41,10 @@ class LitScene(Scene):
         self._folder, self._lights, self._groups = folder, lights["pictures"], lights["groups"]
         for name in plan["light"]["shipped"]:
             _write_shipped(name, folder / "worlds" / f"{name}.npy")
-        self._environment, self._turn = _world(self._scene, self._groups[0])
+        world, self._environment, self._turn = new_world(self._scene)
+        world.lightgroup = self._groups[0]
+        # as fine as the pictures: the automatic map takes longer to build than a small picture to trace
+        world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", 2 * WORLD_ROWS
         self._images: dict[str, bpy.types.Image] = {}
         for group in self._groups:
             self._scene.view_layers[0].lightgroups.add(name=group)
@@ -111,22 +113,6 @@ class LitScene(Scene):
             image.update()
             self._images[name] = image
         return self._images[name]
-
-
-def _world(scene, group: str):
-    """A world of a picture that changes: its nodes of the picture and of its turn."""
-    world = bpy.data.worlds.new("world")
-    scene.world = world
-    world.use_nodes = True
-    world.lightgroup = group
-    # as fine as the pictures: the automatic map takes longer to build than a small picture to trace
-    world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", 2 * WORLD_ROWS
-    tree = world.node_tree
-    environment, turn = tree.nodes.new("ShaderNodeTexEnvironment"), tree.nodes.new("ShaderNodeMapping")
-    tree.links.new(tree.nodes.new("ShaderNodeTexCoord").outputs["Generated"], turn.inputs["Vector"])
-    tree.links.new(turn.outputs["Vector"], environment.inputs["Vector"])
-    tree.links.new(environment.outputs["Color"], tree.nodes["Background"].inputs["Color"])
-    return environment, turn
 
 
 def _lamp_object(scene, group: str):

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene of a capture: one hand whose vertices change from pose to pose, its skin, the light and one camera."""
+"""The scene of a capture: one hand whose vertices change from pose to pose, its skin, the light and one camera; and
+finished pictures with their stamp."""
 
+import struct
+import zlib
 from pathlib import Path
 
 import bpy
 import mathutils
 import numpy as np
-
-from .png import stamped
 
 SENSOR_MM = 36.0
 # clipping of the camera, meters: nearer than any close-up, farther than any stage
@@ -161,22 +162,27 @@ def _picture(tree, path: Path, color_space: str):
     return node
 
 
-def _light(light: dict, folder: Path, vertices: np.ndarray, scene) -> None:
-    middle = (vertices.min((0, 1)) + vertices.max((0, 1))) / 2
-    world = bpy.data.worlds.new("world")
-    scene.world = world
+def new_world(scene):
+    """A world that shows a picture: it, and its nodes of the picture and of its turn."""
+    scene.world = world = bpy.data.worlds.new("world")
     world.use_nodes = True
     tree = world.node_tree
-    environment = tree.nodes.new("ShaderNodeTexEnvironment")
-    environment.image = bpy.data.images.load(str(_environment_file(light["hdri"], folder)))
-    turn = tree.nodes.new("ShaderNodeMapping")
-    # the pictures stand on z, our hands on y
-    turn.inputs["Rotation"].default_value = (np.pi / 2, 0.0, np.radians(light["hdri_turn_deg"]))
+    environment, turn = tree.nodes.new("ShaderNodeTexEnvironment"), tree.nodes.new("ShaderNodeMapping")
     tree.links.new(tree.nodes.new("ShaderNodeTexCoord").outputs["Generated"], turn.inputs["Vector"])
     tree.links.new(turn.outputs["Vector"], environment.inputs["Vector"])
-    background = tree.nodes["Background"]
-    background.inputs["Strength"].default_value = light["hdri_strength"]
-    tree.links.new(environment.outputs["Color"], background.inputs["Color"])
+    tree.links.new(environment.outputs["Color"], tree.nodes["Background"].inputs["Color"])
+    return world, environment, turn
+
+
+def _light(light: dict, folder: Path, vertices: np.ndarray, scene) -> None:
+    middle = (vertices.min((0, 1)) + vertices.max((0, 1))) / 2
+    world, environment, turn = new_world(scene)
+    name = light["hdri"]
+    file = folder / name if Path(name).suffix else shipped_environment(name)
+    environment.image = bpy.data.images.load(str(file))
+    # the pictures stand on z, our hands on y
+    turn.inputs["Rotation"].default_value = (np.pi / 2, 0.0, np.radians(light["hdri_turn_deg"]))
+    world.node_tree.nodes["Background"].inputs["Strength"].default_value = light["hdri_strength"]
     for number, lamp in enumerate(light["lamps"]):
         data = bpy.data.lights.new(f"lamp{number}", "AREA")
         data.size, data.energy, data.color = lamp["edge_m"], lamp["watts"], lamp["rgb"]
@@ -185,11 +191,6 @@ def _light(light: dict, folder: Path, vertices: np.ndarray, scene) -> None:
         lamp_object.location = place
         lamp_object.rotation_euler = (mathutils.Vector(middle.tolist()) - place).to_track_quat("-Z", "Y").to_euler()
         scene.collection.objects.link(lamp_object)
-
-
-def _environment_file(name: str, folder: Path) -> Path:
-    """A file in the plan's folder, or one of the environments in Blender's own."""
-    return folder / name if Path(name).suffix else shipped_environment(name)
 
 
 def shipped_environment(name: str) -> Path:
@@ -220,3 +221,51 @@ def _settings(scene, sampling: dict, threads: int) -> None:
     # plain sRGB, no tone curve
     scene.view_settings.view_transform = "Standard"
     scene.view_settings.look = "None"
+
+
+# ---- PNGs with nothing but their picture and a stamp, so that the same plan gives the same bytes ---------------------
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+# the word under which the stamp stands in the file; the engine looks for it
+STAMP_KEY = "jghand-stamp"
+# what decoders need; Blender adds date, host and render time as text
+_KEPT = (b"IHDR", b"PLTE", b"tRNS", b"sRGB", b"IDAT", b"IEND")
+
+
+def stamped(data: bytes, stamp: str) -> bytes:
+    """The PNG `data` without its texts, with the Latin-1 text `stamp`. ValueError when it is not a whole PNG."""
+    if not data.startswith(SIGNATURE):
+        raise ValueError("not a PNG")
+    result, place = [SIGNATURE], len(SIGNATURE)
+    while place < len(data):
+        (length,) = struct.unpack(">I", data[place : place + 4])
+        kind = data[place + 4 : place + 8]
+        end = place + 12 + length
+        if end > len(data):
+            raise ValueError("a PNG that breaks off")
+        if kind in _KEPT:
+            result.append(data[place:end])
+        if kind == b"IHDR":
+            result.append(_chunk(b"tEXt", _text(stamp)))
+        place = end
+        if kind == b"IEND":
+            return b"".join(result)
+    raise ValueError("a PNG without an end")
+
+
+def encoded(pixels, stamp: str) -> bytes:
+    """(H, W, 4) uint8 as such a PNG."""
+    height, width = pixels.shape[:2]
+    rows = b"".join(b"\0" + row.tobytes() for row in pixels)
+    kinds = (b"IHDR", b"tEXt", b"sRGB", b"IDAT", b"IEND")
+    head = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
+    return SIGNATURE + b"".join(map(_chunk, kinds, (head, _text(stamp), b"\0", zlib.compress(rows), b"")))
+
+
+def _text(stamp: str) -> bytes:
+    return STAMP_KEY.encode() + b"\0" + stamp.encode("latin-1")
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    body = kind + content
+    return struct.pack(">I", len(content)) + body + struct.pack(">I", zlib.crc32(body))

@@ -48,16 +48,12 @@ def _arriving(path: Path) -> Iterator[Path]:
         yield temporary
         _replace(temporary, path)
     except OSError as error:
-        raise _cannot_write(path, error) from error
+        kind = "disk_full" if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", -1)) else "cannot_write"
+        raise JGHandFailure(kind, f"{path}: {error.strerror or error}") from error
     finally:
         if temporary is not None:
             with contextlib.suppress(OSError):
                 temporary.unlink(missing_ok=True)
-
-
-def _cannot_write(path: Path, error: OSError) -> JGHandFailure:
-    kind = "disk_full" if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", -1)) else "cannot_write"
-    return JGHandFailure(kind, f"{path}: {error.strerror or error}")
 
 
 def _replace(temporary: Path, path: Path) -> None:

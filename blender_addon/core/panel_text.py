@@ -73,15 +73,10 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Button:
-    operator: str
-    label: str
-
-
-@dataclass(frozen=True)
 class StatusText:
     """How the renderer is. text: one line · which: path or module, where somebody has to mend it · remedy: what an
-    artist can do, "" when all is well · since: since when, where the line does not say it · detail: the small print."""
+    artist can do, "" when all is well · since: since when, where the line does not say it · detail: the small print ·
+    buttons: operators and labels."""
 
     text: str
     good: bool
@@ -89,16 +84,7 @@ class StatusText:
     remedy: str = ""
     since: str = ""
     detail: str = ""
-    buttons: tuple[Button, ...] = ()
-
-
-@dataclass(frozen=True)
-class ReceiptText:
-    """A receipt in lines. warnings: what an artist should look at, the joint out of its trained range first."""
-
-    total: Line
-    stages: tuple[Line, ...]
-    warnings: tuple[Line, ...]
+    buttons: tuple[tuple[str, str], ...] = ()
 
 
 def duration(seconds: float) -> str:
@@ -147,13 +133,11 @@ def status_text(status: Any, report: Mapping[str, Any] | None = None) -> StatusT
         return _failed(status.failure, since)
     if state == "stopped":
         return StatusText("Renderer off: starts when needed", True)
-    if state == "starting":
-        return StatusText(f"Starting…  {since}", True)
-    if state == "stopping":
-        return StatusText(f"Stopping…  {since}", True)
+    if state in ("starting", "stopping"):
+        return StatusText(f"{state.capitalize()}…  {since}", True)
     if state == "slow":
         remedy = 'It may be at work: wait, or press "Restart Renderer"'
-        buttons = (Button("jghand.restart_engine", "Restart Renderer"),)
+        buttons = (("jghand.restart_engine", "Restart Renderer"),)
         text, running = "The renderer is not answering", f"Running for {since}"
         return StatusText(text, False, remedy=remedy, since=running, buttons=buttons)
     facts = status.handshake or {}
@@ -170,14 +154,21 @@ def status_text(status: Any, report: Mapping[str, Any] | None = None) -> StatusT
     return StatusText(" · ".join(parts), True, detail=detail)
 
 
-def receipt_text(report: Mapping[str, Any], budget_ms: float | None = None) -> ReceiptText:
-    """The lines of a receipt. budget_ms: what a picture was allowed to take, None without a budget."""
-    total_ms = report["total_ms"]
-    return ReceiptText(
-        _total(report, total_ms, budget_ms),
-        tuple(_stage(stage, total_ms) for stage in report["stages"]),
-        warnings(report),
-    )
+def receipt_lines(report: Mapping[str, Any], budget_ms: float | None = None) -> list[Line]:
+    """The whole of a receipt and its stages. budget_ms: what a picture was allowed to take, None without a budget."""
+    total_ms, drawn, posed = report["total_ms"], report["visible_gaussians"], report["gaussians"]
+    tip = f"{drawn:,} of {posed:,} splats, drawn by {report['backend']} on {report['threads']} threads"
+    part, good = 1.0, True
+    if budget_ms is not None:
+        tip = f"{tip}; the budget is {milliseconds(budget_ms)}"
+        part, good = min(total_ms / max(budget_ms, 1e-3), 1.0), total_ms <= budget_ms
+    lines = [Line("Last Frame" if good else "Over Budget", milliseconds(total_ms), part, tip, good)]
+    for stage in report["stages"]:
+        name: str = stage["name"]
+        spent_ms = stage["milliseconds"]
+        part = min(spent_ms / total_ms, 1.0) if total_ms > 0 else 0.0
+        lines.append(Line(STAGES.get(name, name.capitalize()), milliseconds(spent_ms), part, stage["reason"]))
+    return lines
 
 
 def shortened(name: str, names: Sequence[str]) -> str:
@@ -199,42 +190,23 @@ def map_lines(sources: Sequence[Any], known: Sequence[str]) -> list[Line]:
     ]
     lines = []
     if empty:
-        lines.append(Line(f"{len(empty)} of 21 joints have no bone: {_listed(empty)}", good=False))
+        lines.append(Line(f"{len(empty)} of 21 joints have no bone: {listed(empty)}", good=False))
     if gone:
-        lines.append(Line(f"Bones that are gone: {_listed(gone)}", good=False))
+        lines.append(Line(f"Bones that are gone: {listed(gone)}", good=False))
     twice = _used_twice(sources)
     if twice:
-        lines.append(Line(f"Several joints on one place: {_listed(twice)}", good=False))
+        lines.append(Line(f"Several joints on one place: {listed(twice)}", good=False))
     return lines or [Line("All 21 joints have a bone")]
 
 
 def _failed(failure: Any, since: str) -> StatusText:
-    log = Button("jghand.show_log", "Show Log")
+    log = ("jghand.show_log", "Show Log")
     if failure is None:
-        return StatusText("The renderer stopped", False, buttons=(Button(*_START), log))
-    mend = Button(*_MENDS.get(failure.kind, _START))
+        return StatusText("The renderer stopped", False, buttons=(_START, log))
+    mend = _MENDS.get(failure.kind, _START)
     which = failure.detail.partition("\n")[0] if failure.kind in _MENDS else ""
     advice = failure.advice
     return StatusText(advice.sentence, False, which, advice.remedy, f"{since} ago", failure.detail, (mend, log))
-
-
-def _total(report: Mapping[str, Any], total_ms: float, budget_ms: float | None) -> Line:
-    drawn, posed = report["visible_gaussians"], report["gaussians"]
-    tip = f"{drawn:,} of {posed:,} splats, drawn by {report['backend']} on {report['threads']} threads"
-    if budget_ms is None:
-        return Line("Last Frame", milliseconds(total_ms), 1.0, tip)
-    tip = f"{tip}; the budget is {milliseconds(budget_ms)}"
-    part, good = min(total_ms / max(budget_ms, 1e-3), 1.0), total_ms <= budget_ms
-    text = "Last Frame" if good else "Over Budget"
-    return Line(text, milliseconds(total_ms), part, tip, good)
-
-
-def _stage(stage: Mapping[str, Any], total_ms: float) -> Line:
-    name: str = stage["name"]
-    spent_ms = stage["milliseconds"]
-    label = STAGES.get(name, name.capitalize())
-    part = min(spent_ms / total_ms, 1.0) if total_ms > 0 else 0.0
-    return Line(label, milliseconds(spent_ms), part, stage["reason"])
 
 
 def warnings(report: Mapping[str, Any]) -> tuple[Line, ...]:
@@ -275,7 +247,7 @@ def folded(lines: Sequence[Line], most: int) -> tuple[Line, ...]:
     return (*lines[:most], Line(f"{len(others)} more warnings", tip=tip, good=False))
 
 
-def _listed(names: Sequence[str], most: int = 6) -> str:
+def listed(names: Sequence[str], most: int = 6) -> str:
     return ", ".join(names[:most]) + (", …" if len(names) > most else "")
 
 

@@ -13,20 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import JGHandFailure
-from .joints import (
-    ELBOW_RIGHT_M,
-    INDEX,
-    LEFT,
-    MIDDLE,
-    NAMES,
-    PARENTS,
-    PINKY,
-    REST_RIGHT_M,
-    RING,
-    TAILS,
-    THUMB,
-    WRIST,
-)
+from .joints import ELBOW_RIGHT_M, INDEX, LEFT, MIDDLE, NAMES, PARENTS, PINKY, REST_RIGHT_M, RING, TAILS, THUMB, WRIST
 
 # a rest bone shorter than this part of the mean bone has no direction, and Blender deletes bones of no length
 REST_BONE_MIN = 1e-2
@@ -75,7 +62,9 @@ def rest_joints_m(handedness: str, like_m: np.ndarray | None = None) -> np.ndarr
 def rest_matrices(joints: np.ndarray, handedness: str) -> np.ndarray:
     """(21, 3) joints of a rest pose -> (21, 4, 4) bone matrices: columns x, y, z, head; any unit."""
     joints = checked_joints(joints[None])[0]
-    _check_bones(joints)
+    lengths = np.linalg.norm(joints[1:] - joints[list(PARENTS[1:])], axis=-1)
+    if lengths.min() < REST_BONE_MIN * lengths.mean():
+        raise JGHandFailure("bad_joints", f"the bone to {NAMES[1 + int(lengths.argmin())]} has no length at rest")
     palm = palm_axes(joints[None], handedness)[0]
     side = -1.0 if handedness == LEFT else 1.0
     # x = y x z points to the index side on a right hand and away from it on a left one
@@ -198,7 +187,7 @@ def bone_keys(
             unposed_axes = turn @ rest[place, :3, :3]
             unposed_head = joints[:, parent] + turn @ (rest[place, :3, 3] - rest[parent, :3, 3])
         inverse = np.swapaxes(unposed_axes, -1, -2)
-        location[:, place] = _apply(inverse, joints[:, place] - unposed_head)
+        location[:, place] = np.einsum("fij,fj->fi", inverse, joints[:, place] - unposed_head)
         quaternion[:, place] = _continuous(_quaternions(inverse @ axes[:, place]))
     return BoneKeys(location, quaternion)
 
@@ -244,13 +233,6 @@ def polar_rotation(linear: np.ndarray) -> np.ndarray:
     """The rotation nearest to a (3, 3) matrix with positive determinant (polar decomposition)."""
     left, _, right = np.linalg.svd(linear)
     return left @ right
-
-
-def _check_bones(joints: np.ndarray) -> None:
-    """Refuses a rest pose with a bone that has no direction, relative to the hand."""
-    lengths = np.linalg.norm(joints[1:] - joints[list(PARENTS[1:])], axis=-1)
-    if lengths.min() < REST_BONE_MIN * lengths.mean():
-        raise JGHandFailure("bad_joints", f"the bone to {NAMES[1 + int(lengths.argmin())]} has no length at rest")
 
 
 def palm_axes(joints: np.ndarray, handedness: str) -> np.ndarray:
@@ -306,10 +288,6 @@ def _cross_matrix(v: np.ndarray) -> np.ndarray:
     x, y, z = np.moveaxis(v, -1, 0)
     o = np.zeros_like(x)
     return np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2)
-
-
-def _apply(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    return np.einsum("fij,fj->fi", matrices, vectors)
 
 
 def _quaternions(rotations: np.ndarray) -> np.ndarray:

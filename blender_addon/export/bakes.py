@@ -272,7 +272,9 @@ def release(context: bpy.types.Context, folder: Path) -> list[tuple[str, bpy.typ
             name = Path(modifier.cache_file.filepath).stem if modifier.cache_file is not None else name
             modifier.cache_file = None
         released.append((name, thing))
-    bpy.data.batch_remove([cache for cache in bpy.data.cache_files if _is_in(cache, folder) and not cache.users])
+    unused = [cache for cache in bpy.data.cache_files if not cache.users]
+    inside = [each for each in unused if folder in Path(bpy.path.abspath(each.filepath, library=each.library)).parents]
+    bpy.data.batch_remove(inside)
     if released:
         context.view_layer.update()
     return released
@@ -293,10 +295,6 @@ def _remove(things: Sequence[bpy.types.Object]) -> None:
 
 def _caches(thing: bpy.types.Object) -> list[bpy.types.Modifier]:
     return [modifier for modifier in thing.modifiers if modifier.type == "MESH_SEQUENCE_CACHE"]
-
-
-def _is_in(cache: bpy.types.CacheFile, folder: Path) -> bool:
-    return folder in Path(bpy.path.abspath(cache.filepath, library=cache.library)).parents
 
 
 def playing(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]:

@@ -14,7 +14,7 @@ import bpy
 
 from .. import folders, ui
 from ..errors import JGHandFailure
-from ..ops import REGISTERED, UNDOABLE, Reporting, missing, wait_cursor
+from ..ops import REGISTERED, Reporting, missing, wait_cursor
 from ..render import scene_light
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
@@ -37,7 +37,9 @@ class Export(StartsJob, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         writes_usd = context.scene.jghand.output.format == "usd"
-        return poll_hands_to_write(cls, context) and (not writes_usd or poll_usd(cls, context))
+        return (
+            poll_hands_to_write(cls, context) and super().poll(context) and (not writes_usd or poll_usd(cls, context))
+        )
 
     @classmethod
     def description(cls, context: bpy.types.Context, _properties: bpy.types.OperatorProperties) -> str:
@@ -47,6 +49,9 @@ class Export(StartsJob, bpy.types.Operator):
             "motion": "Write a motion file per hand into the folder: no renderer is needed",
         }
         return texts[context.scene.jghand.output.format]
+
+    def recorded_hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
+        return ops_common.hands_to_write(context)
 
     def prepare(self, context: bpy.types.Context) -> None:
         place(context, context.scene.jghand.output.folder)
@@ -85,15 +90,9 @@ class Export(StartsJob, bpy.types.Operator):
                 for recording in recordings
             ]
         except Exception:  # there is no job that would do it
-            folders.remove_job_folder(scratch)
+            shutil.rmtree(scratch, ignore_errors=True)
             raise
-        return JobSpec(
-            title,
-            commands[0],
-            folder,
-            more=tuple(commands[1:]),
-            on_over=partial(folders.remove_job_folder, scratch),
-        )
+        return JobSpec(title, commands[0], folder, more=tuple(commands[1:]), scratch=(scratch,))
 
     def done(self, context: bpy.types.Context) -> str:
         folder = place(context, context.scene.jghand.output.folder)
@@ -128,7 +127,7 @@ class Bake(StartsJob, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_hands_to_write(cls, context) and poll_usd(cls, context)
+        return poll_hands_to_write(cls, context) and super().poll(context) and poll_usd(cls, context)
 
     def prepare(self, context: bpy.types.Context) -> None:
         place(context, context.scene.jghand.output.bake_folder)
@@ -152,7 +151,6 @@ class Bake(StartsJob, bpy.types.Operator):
         owners = [owner for owner, *_ in ops_common.named_hands(context, things)]
         options = usd_options("points", settings.bake_width_factor)
         made: list[_NewBake] = []
-        clean = partial(_clean, made)
         try:
             for thing, folder in zip(things, _bake_folders(context, things), strict=True):
                 own = tuple(each for owner, each in zip(owners, recordings, strict=True) if owner == thing)
@@ -163,10 +161,11 @@ class Bake(StartsJob, bpy.types.Operator):
                 for recording in bake.recordings
             ]
         except JGHandFailure:
-            clean()
+            for bake in made:
+                shutil.rmtree(bake.made, ignore_errors=True)
             raise
-        finish = partial(_finish, made)
-        return JobSpec("Baking", commands[0], self._folder, on_done=finish, more=tuple(commands[1:]), on_over=clean)
+        finish, scratch = partial(_finish, made), tuple(bake.made for bake in made)
+        return JobSpec("Baking", commands[0], self._folder, on_done=finish, more=tuple(commands[1:]), scratch=scratch)
 
     def done(self, _context: bpy.types.Context) -> str:
         return f"Baked into {self._folder}."
@@ -220,11 +219,6 @@ def _finish(made: Sequence[_NewBake]) -> None:
                 bakes.play(context, bake.folder, [each for things in played.values() for each in things])
 
 
-def _clean(made: Sequence[_NewBake]) -> None:
-    for bake in made:
-        shutil.rmtree(bake.made, ignore_errors=True)
-
-
 def _poll_baked(operator: type, context: bpy.types.Context) -> bool:
     thing = context.object
     return (thing is not None and bool(thing.jghand.bake)) or missing(operator, "Select a hand that was baked")
@@ -237,7 +231,6 @@ class PlayBake(Reporting, bpy.types.Operator):
         "Bring the bake of this hand into the scene as an object that plays with neither renderer nor extension, "
         "and stop drawing the hand itself in the viewport"
     )
-    bl_options = UNDOABLE
 
     poll = classmethod(_poll_baked)
 
@@ -262,7 +255,6 @@ class ClearBake(Reporting, bpy.types.Operator):
         "Draw this hand itself again, take its playing bake out of the scene and forget the bake. "
         "Its files stay on the disk"
     )
-    bl_options = UNDOABLE
 
     poll = classmethod(_poll_baked)
 

@@ -23,7 +23,7 @@ from ..hand.seen_hands import avatar_of
 from ..ops import DONE, InTurns, chosen_hands, followed, missing, seen_frames
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
-from .recording import Recording, check_place, file_names, with_file_name
+from .recording import Recording, file_names
 
 
 class StartsJob(InTurns):
@@ -34,7 +34,6 @@ class StartsJob(InTurns):
     confirmed: bpy.props.BoolProperty(
         name="Confirmed",
         description="What is overwritten was asked about",
-        default=False,
         options={"SKIP_SAVE", "HIDDEN"},
     )
 
@@ -48,9 +47,17 @@ class StartsJob(InTurns):
     watched = True
     _is_done = False
 
-    def recorded_hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        jobs = map(runtime.jobs.get, (cls.key, *cls.never_beside))
+        running = next((job for job in jobs if job is not None and not job.is_over), None)
+        if running is None:
+            return True
+        return missing(cls, f"{running.spec.title} is running already: wait until it has ended, or cancel it")
+
+    def recorded_hands(self, _context: bpy.types.Context) -> list[bpy.types.Object]:
         """The objects whose hands are recorded; none where a job needs no motion."""
-        return hands_to_write(context)
+        return []
 
     def job(self, context: bpy.types.Context, recordings: list[Recording]) -> JobSpec | None:
         raise NotImplementedError
@@ -86,7 +93,7 @@ class StartsJob(InTurns):
     def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         """A step per frame; then the job is looked at, unless it takes hours."""
         for key in (self.key, *self.never_beside):  # before minutes of recording
-            runtime.jobs().refuse_second(key)
+            runtime.jobs.refuse_second(key)
         self.prepare(context)
         recordings: list[Recording] = []
         things = self.recorded_hands(context)
@@ -162,19 +169,9 @@ def record_steps(
         avatar = avatar_of(thing)
         turns = [hand.forearm_turn for hand in moments if hand.forearm_turn is not None]
         known = len(turns) == len(read) and (avatar_files.has_forearm(avatar) or armature.has_forearm_bone(thing))
-        into.append(
-            Recording(
-                name,
-                handedness,
-                avatar,
-                joints_m,
-                frames[0],
-                fps,
-                thing.name,
-                thing.jghand.forearm,
-                np.stack(turns) if known else None,
-            )
-        )
+        turned = np.stack(turns) if known else None
+        of_hand = thing.name, thing.jghand.forearm, turned
+        into.append(Recording(name, handedness, avatar, joints_m, frames[0], fps, *of_hand))
 
 
 def named_hands(
@@ -191,14 +188,14 @@ def named_hands(
 # ---- what can be refused ---------------------------------------------------------------------------------------------
 
 
-def poll_hands_to_write(operator: type[StartsJob], context: bpy.types.Context) -> bool:
+def poll_hands_to_write(operator: type, context: bpy.types.Context) -> bool:
     if not hands_to_write(context):
         if context.scene.jghand.output.hands == "all":
             return missing(operator, "There is no hand in this view layer that is rendered")
         return missing(operator, "Select a hand, or choose All")
     if not frames_to_write(context):
         return missing(operator, "The last frame comes before the first")
-    return all(poll_job(operator, key) for key in (operator.key, *operator.never_beside))
+    return True
 
 
 def poll_usd(operator: type, context: bpy.types.Context) -> bool:
@@ -214,14 +211,12 @@ def lacks_usd(_context: bpy.types.Context) -> bool:
     return False
 
 
-def poll_job(operator: type, key: str) -> bool:
-    job = runtime.jobs().get(key)
-    if job is None or job.is_over:
-        return True
-    return missing(operator, f"{job.spec.title} is running already: wait until it has ended, or cancel it")
-
-
 def place(context: bpy.types.Context, text: str) -> Path:
-    """A folder or a file as the settings name it. JGHandFailure: no_place."""
-    check_place(text, saved=bool(context.blend_data.filepath))
-    return Path(bpy.path.abspath(with_file_name(text, context.blend_data.filepath))).absolute()
+    """A folder or a file as the settings name it, with the stem of the opened file for its `{blend_name}`: files of one
+    folder share their settings' defaults, and must not write over each other. JGHandFailure: no_place."""
+    blend = context.blend_data.filepath
+    if not text.strip():
+        raise JGHandFailure("no_place", "no folder is chosen")
+    if text.startswith("//") and not blend:
+        raise JGHandFailure("no_place", "the folder is beside the file, and that was never saved")
+    return Path(bpy.path.abspath(text.replace("{blend_name}", Path(blend).stem or "untitled"))).absolute()

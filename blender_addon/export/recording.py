@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from ..core.view import SHIPPED_AVATARS
-from ..errors import JGHandFailure
 from ..hand import avatar_files
 from ..hand.motion_files import MotionFile, write_motion
 
@@ -118,17 +117,3 @@ def avatar_digest(avatar: str, *, forearm: bool = True) -> str:
 def _file_digest(path: Path, _changed_ns: int, _size: int) -> str:
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def with_file_name(folder: str, blend: str) -> str:
-    """A folder of the settings with the stem of the opened file for its `{blend_name}`: files of one folder share
-    their settings' defaults, and must not write over each other."""
-    return folder.replace("{blend_name}", Path(blend).stem or "untitled")
-
-
-def check_place(folder: str, *, saved: bool) -> None:
-    """JGHandFailure (no_place) for no folder, and for one beside a file that has no place yet."""
-    if not folder.strip():
-        raise JGHandFailure("no_place", "no folder is chosen")
-    if folder.startswith("//") and not saved:
-        raise JGHandFailure("no_place", "the folder is beside the file, and that was never saved")

@@ -46,7 +46,7 @@ class JGHandUsdHook(_Hook):
             traceback.print_exc()
             left_out = [f"The splats were left out: {error}"]
         if left_out:  # Blender's export runs on a thread of its own
-            ui.show_later(f"{'Not all hands are in the USD file.'} {' '.join(left_out)}", icon="ERROR")
+            ui.show_later(" ".join(["Not all hands are in the USD file.", *left_out]), icon="ERROR")
         return True
 
     @staticmethod
@@ -87,7 +87,8 @@ def add_splats(stage: Any, depsgraph: bpy.types.Depsgraph) -> list[str]:
         if not armature.is_any_hand(thing) or not _is_exported(stage, thing):
             continue
         try:
-            for hand, folder in usable_bakes(thing, depsgraph):
+            folder = bakes.folder_of(thing)
+            for hand in _usable_bakes(thing, folder, depsgraph):
                 _bring_layers(hand, folder, target)
                 _reference(stage, hand, depsgraph.scene, target.name)
         except JGHandFailure as failure:
@@ -103,16 +104,15 @@ def _is_exported(stage: Any, thing: bpy.types.Object) -> bool:
     return any(prim.GetName() in names for prim in stage.Traverse())
 
 
-def usable_bakes(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[tuple[bakes.BakedHand, Path]]:
-    """The bakes of a hand's object and their folder, when they still show it. JGHandFailure: no_bake, stale_bake."""
+def _usable_bakes(thing: bpy.types.Object, folder: Path, depsgraph: bpy.types.Depsgraph) -> list[bakes.BakedHand]:
+    """The bakes of a hand's object, when they still show it. JGHandFailure: no_bake, stale_bake."""
     if not thing.jghand.bake:
         raise JGHandFailure("no_bake", f"{thing.name} was not baked")
-    folder = bakes.folder_of(thing)
     found = bakes.read_bake(folder)
     reasons = bakes.stale_now(thing, depsgraph, found)
     if reasons:
         raise JGHandFailure("stale_bake", f"{thing.name}: {', '.join(reasons)}")
-    return [(hand, folder) for hand in found]
+    return found
 
 
 def _bring_layers(hand: bakes.BakedHand, folder: Path, target: Path) -> None:

@@ -178,9 +178,11 @@ def read_hand(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph, placed: np
     return replace(seen, forearm_turn=_forearm_turn(evaluated, heads, handedness))
 
 
-def heads_of(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
-    """(21, 3) evaluated bone heads of our armature in its own space and unit, standard order."""
-    return _heads(evaluated_object(hand, depsgraph))
+def heads_and_turn(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[np.ndarray, np.ndarray | None]:
+    """(21, 3) evaluated bone heads of our armature in its own space and unit, standard order, and `_forearm_turn`."""
+    evaluated = evaluated_object(hand, depsgraph)
+    heads = _heads(evaluated)
+    return heads, _forearm_turn(evaluated, heads, handedness_of(hand))
 
 
 def in_hand_space(
@@ -234,15 +236,9 @@ def _heads(evaluated: bpy.types.Object) -> np.ndarray:
     return heads[places].astype(np.float64)
 
 
-def forearm_turn_of(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> np.ndarray | None:
-    """(4,) how the evaluated forearm of our armature is turned, see `posing.forearm_rotations`: without a bone of its
-    own as the wrist's bone. None for a palm without a plane."""
-    evaluated = evaluated_object(hand, depsgraph)
-    return _forearm_turn(evaluated, _heads(evaluated), handedness_of(hand))
-
-
 def _forearm_turn(evaluated: bpy.types.Object, heads: np.ndarray, handedness: str) -> np.ndarray | None:
-    # a palm without a plane has no axes to say it in
+    """(4,) how the evaluated forearm of our armature is turned, see `posing.forearm_rotations`: without a bone of its
+    own as the wrist's bone. None for a palm without a plane, which has no axes to say it in."""
     if not posing.has_palm(heads[None]).all():
         return None
     bone = FOREARM if has_forearm_bone(evaluated) else NAMES[WRIST]

@@ -7,6 +7,7 @@ that is read here, and texts in it are somebody else's. Does not use bpy.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import math
@@ -15,14 +16,13 @@ import struct
 import time
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ..core.joints import NAMES
-from ..core.view import BUILTIN_AVATAR, SHIPPED_AVATARS, avatar_stamp
+from ..core.view import BUILTIN_AVATAR, avatar_stamp
 from ..errors import JGHandFailure
 
 # seconds: views and panels are drawn again and again, and ask the disk no more often than this
@@ -116,9 +116,7 @@ _cards: dict[str, tuple[str, Card | JGHandFailure]] = {}
 
 
 def stamp(avatar: str) -> str:
-    """Changes within a second after the file of an avatar did; "" for those that come with the renderer."""
-    if avatar in SHIPPED_AVATARS:
-        return ""
+    """`avatar_stamp`, which is asked once a second."""
     now_s = time.monotonic()
     looked_s, known = _stamps.get(avatar, (float("-inf"), ""))
     if now_s - looked_s >= LOOK_S:
@@ -254,10 +252,12 @@ def hands_in(folders: Iterable[Path]) -> list[PackedHand]:
     found: dict[str, PackedHand] = {}
     for folder in folders:
         for file in sorted(folder.glob(f"*{SUFFIX}")) if folder.is_dir() else ():
-            if file.stem in found or not is_name(file.stem) or not _is_read(partial(card_of, str(file))):
+            if file.stem in found or not is_name(file.stem):
                 continue
-            picture = file.with_suffix(PICTURE)
-            found[file.stem] = PackedHand(file.stem, file, picture if picture.is_file() else None)
+            with contextlib.suppress(JGHandFailure):
+                card_of(str(file))
+                picture = file.with_suffix(PICTURE)
+                found[file.stem] = PackedHand(file.stem, file, picture if picture.is_file() else None)
     return [found[name] for name in sorted(found)]
 
 
@@ -292,22 +292,12 @@ def _unpacked(archive: zipfile.ZipFile, entries: dict[str, zipfile.ZipInfo], nam
     try:
         for file, draft in zip(files, drafts, strict=True):
             draft.write_bytes(archive.read(entries[file]))
-        if not _is_read(partial(read_card, drafts[0])):
-            return False
+        read_card(drafts[0])  # a hand as far as that says; the renderer reads all of it
         for file, draft in zip(files, drafts, strict=True):
             draft.replace(folder / file)
-    except (zipfile.BadZipFile, zlib.error):  # its checksum is another, or it cannot be decompressed
+    except (JGHandFailure, zipfile.BadZipFile, zlib.error):  # or its checksum is another, or it cannot be decompressed
         return False
     finally:
         for draft in drafts:
             draft.unlink(missing_ok=True)
-    return True
-
-
-def _is_read(read: Callable[[], object]) -> bool:
-    """Whether the file of an avatar is one, as far as its card says; the renderer reads all of it."""
-    try:
-        read()
-    except JGHandFailure:
-        return False
     return True

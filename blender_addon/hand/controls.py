@@ -13,6 +13,7 @@ inverse kinematics for the whole finger, which has the same limits as properties
 from __future__ import annotations
 
 from collections.abc import Container, Generator, Iterator, Sequence
+from typing import Any
 
 import bpy
 import numpy as np
@@ -113,8 +114,9 @@ def bake_steps(
     try:
         for frame in frames:
             depsgraph = armature.at_frame(scene, frame)
-            joints.append([armature.heads_of(hand, depsgraph) * unit_m for hand in hands])
-            turns.append([armature.forearm_turn_of(hand, depsgraph) for hand in hands])
+            heads, turned = zip(*(armature.heads_and_turn(hand, depsgraph) for hand in hands), strict=True)
+            joints.append([unit_m * each for each in heads])
+            turns.append(turned)
             yield len(joints) / len(frames)
     finally:
         armature.at_frame(scene, before)
@@ -302,13 +304,8 @@ def _dress_controls(hand: bpy.types.Object, rest: np.ndarray, unit_m: float) -> 
 
 
 def _keep_in_range(bone: bpy.types.PoseBone) -> None:
-    rule = bone.constraints.get(RANGE) or bone.constraints.new("LIMIT_ROTATION")
-    rule.name, rule.owner_space, rule.euler_order = RANGE, "LOCAL", "XYZ"
-    rule.use_transform_limit = True
-    rule.use_limit_x = rule.use_limit_y = rule.use_limit_z = True
-    rule.min_x, rule.max_x = -np.radians(controls.CURL_BACK_DEG), np.radians(controls.CURL_FULL_DEG)
-    rule.min_y = rule.max_y = 0.0
-    rule.min_z, rule.max_z = -np.radians(controls.SPREAD_FULL_DEG), np.radians(controls.SPREAD_FULL_DEG)
+    back, full, spread = np.radians((controls.CURL_BACK_DEG, controls.CURL_FULL_DEG, controls.SPREAD_FULL_DEG))
+    _limit(bone, RANGE, (-back, full), (0.0, 0.0), (-spread, spread)).use_transform_limit = True
 
 
 def _make_rules(hand: bpy.types.Object, rest: np.ndarray, handedness: str) -> None:
@@ -320,7 +317,9 @@ def _make_rules(hand: bpy.types.Object, rest: np.ndarray, handedness: str) -> No
             bone = hand.pose.bones[of_hand.bone]
             _follow(hand, bone, FIST, HAND_CONTROL, of_hand)
             _follow(hand, bone, CURL, control, of_finger)
-            _limit(bone, ranges[bone.name])
+            span = ranges[bone.name]
+            _limit(bone, LIMIT, span.x, span.y, span.z)
+            _set_solver_range(bone, span)
         last = hand.pose.bones[controls.moving_bones(finger)[-1]]
         rule = last.constraints.new("IK")
         rule.name, rule.target, rule.subtarget = TIP, hand, TIP_CONTROLS[finger]
@@ -349,14 +348,13 @@ def _follow(hand: bpy.types.Object, bone: bpy.types.PoseBone, name: str, control
     rule.to_min_z_rot, rule.to_max_z_rot = -move.spread, move.spread
 
 
-def _limit(bone: bpy.types.PoseBone, span: JointRange) -> None:
-    rule = bone.constraints.new("LIMIT_ROTATION")
-    rule.name, rule.owner_space, rule.euler_order = LIMIT, "LOCAL", "XYZ"
+def _limit(bone: bpy.types.PoseBone, name: str, *spans: tuple[float, float]) -> Any:
+    """The constraint of this name, made where there is none, that keeps turns about x, y and z within these."""
+    rule: Any = bone.constraints.get(name) or bone.constraints.new("LIMIT_ROTATION")
+    rule.name, rule.owner_space, rule.euler_order = name, "LOCAL", "XYZ"
     rule.use_limit_x = rule.use_limit_y = rule.use_limit_z = True
-    rule.min_x, rule.max_x = span.x
-    rule.min_y, rule.max_y = span.y
-    rule.min_z, rule.max_z = span.z
-    _set_solver_range(bone, span)
+    (rule.min_x, rule.max_x), (rule.min_y, rule.max_y), (rule.min_z, rule.max_z) = spans
+    return rule
 
 
 def _set_solver_range(bone: bpy.types.PoseBone, span: JointRange | None) -> None:

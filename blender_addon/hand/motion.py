@@ -102,11 +102,6 @@ def frame_rate(scene: bpy.types.Scene) -> float:
     return scene.render.fps / scene.render.fps_base
 
 
-def stands_at_m(hand: bpy.types.Object, scene: bpy.types.Scene) -> np.ndarray:
-    """(3,) where the object of a hand stands in the world, meters."""
-    return scene.unit_settings.scale_length * np.array(hand.matrix_world.translation, dtype=np.float64)
-
-
 def key_motion(
     hand: bpy.types.Object,
     joints_m: np.ndarray,
@@ -142,7 +137,10 @@ def key_motion(
             for index in range(values.shape[-1]):
                 curve = versions.new_fcurve(hand, f'pose.bones["{name}"].{channel}', index, name)
                 _fill(curve, at, values[:, place, index], filled)
-    _prepare_bones(hand)
+    for name in _keyed(hand):  # what the keys take for granted
+        pose = hand.pose.bones[name]
+        pose.rotation_mode, pose.scale = "QUATERNION", (1.0, 1.0, 1.0)
+        pose.bone.use_inherit_rotation = pose.bone.use_local_location = True
     return action
 
 
@@ -185,15 +183,6 @@ def check_free(hand: bpy.types.Object, *, but: Sequence[str] = ()) -> None:
 def _keyed(hand: bpy.types.Object) -> tuple[str, ...]:
     """The bones that a motion moves, as `posing.bone_keys` lists them."""
     return (*NAMES, FOREARM) if has_forearm_bone(hand) else NAMES
-
-
-def _prepare_bones(hand: bpy.types.Object) -> None:
-    """What the keys take for granted about the bones."""
-    for name in _keyed(hand):
-        pose = hand.pose.bones[name]
-        pose.rotation_mode = "QUATERNION"
-        pose.scale = (1.0, 1.0, 1.0)
-        pose.bone.use_inherit_rotation = pose.bone.use_local_location = True
 
 
 def _fill(curve: bpy.types.FCurve, frames: np.ndarray, values: np.ndarray, filled: np.ndarray | None) -> None:

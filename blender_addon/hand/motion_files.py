@@ -64,17 +64,15 @@ def read_motion(path: Path) -> MotionFile:
             raise ValueError(", ".join(f"{name} {value!r}" for name, value in said.items()))
         if joints.ndim != 3 or joints.shape[1:] != (len(NAMES), 3) or filled.shape != (len(joints),):
             raise ValueError(f"wanted frames x 21 joints x 3, got {joints.shape}")
-        if forearm is not None and not (forearm.shape == (len(joints), 4) and _are_turns(forearm)):
-            raise ValueError(f"wanted a quaternion of the forearm for each frame, got {forearm.shape}")
+        if forearm is not None:
+            off = np.abs(np.linalg.norm(forearm, axis=-1) - 1)  # NaN is none of less
+            if forearm.shape != (len(joints), 4) or not (off < _UNIT).all():
+                raise ValueError(f"wanted a quaternion of the forearm for each frame, got {forearm.shape}")
         if not (len(joints) and whole and np.isfinite(joints).all()):
             raise ValueError("frames miss joints")
     except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise JGHandFailure("bad_motion", f"{path}: {str(error)[:200]}") from error
     return MotionFile(joints, fps, said["handedness"], (), filled if filled.any() else None, forearm)
-
-
-def _are_turns(quaternions: np.ndarray) -> bool:
-    return bool((np.abs(np.linalg.norm(quaternions, axis=1) - 1) < _UNIT).all())  # false for NaN, too
 
 
 def write_motion(path: Path, motion: MotionFile) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from bpy_extras.io_utils import ImportHelper
 from mathutils import Vector
 
 from .. import folders, versions
@@ -19,11 +20,11 @@ from ..core.bone_maps import BoneMap
 from ..core.joints import FOREARM, HANDEDNESSES, NAMES, RIGHT
 from ..core.view import BUILTIN_AVATAR
 from ..errors import JGHandFailure
-from ..ops import UNDOABLE, UNDOABLE_PLUMBING, Reporting, missing
+from ..ops import REGISTERED, UNDOABLE_PLUMBING, Reporting, missing
 from ..render import scene_light
 from ..render.camera import add_framing_camera
-from . import armature, avatar_files, controls, family, sources, stand_ins
-from .properties import HANDS
+from . import armature, avatar_files, controls, seen_hands, sources, stand_ins
+from .properties import HANDS, hand_items
 from .seen_hands import named
 
 # det of an object's axes below which it is flat and can hide nothing that is inside of it
@@ -48,10 +49,9 @@ class AddHand(Reporting, bpy.types.Operator):
         "Add an armature with finger controls and a photorealistic hand on it, at the 3D cursor or beside a hand that "
         "stands there"
     )
-    bl_options = UNDOABLE
 
     handedness: bpy.props.EnumProperty(name="Hand", description="Which hand", items=HANDS)
-    avatar: bpy.props.EnumProperty(name="Avatar", description="Whose hand", items=family.items)
+    avatar: bpy.props.EnumProperty(name="Avatar", description="Whose hand", items=hand_items)
     use_controls: bpy.props.BoolProperty(
         name="Finger Controls",
         description="Add controls for curl and spread of each finger, for pinned tips, and joint limits",
@@ -99,12 +99,11 @@ class AddForearmBone(Reporting, bpy.types.Operator):
     bl_idname = "jghand.add_forearm_bone"
     bl_label = "Add Forearm Bone"
     bl_description = "Add a bone from the elbow to the wrist, which then bends and twists when one of them is turned"
-    bl_options = UNDOABLE
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        hand = context.object
-        if hand is None or not armature.is_hand(hand):
+        hand = common.active_hand(context)
+        if hand is None:
             return missing(cls, "Select a hand")
         return not armature.has_forearm_bone(hand) or missing(cls, "This hand has one already")
 
@@ -124,7 +123,6 @@ class UseArmature(Reporting, bpy.types.Operator):
         "Draw hands on this armature: its bones are recognized by their names, of Rigify, Mixamo, VRM, MakeHuman, "
         "Unreal, Auto-Rig Pro and others. Bones, keys and constraints stay as they are"
     )
-    bl_options = UNDOABLE
 
     handedness: bpy.props.EnumProperty(
         name="Hand", description="Which hands to look for", items=_EITHER, default="BOTH"
@@ -180,7 +178,6 @@ class UseObjects(Reporting, bpy.types.Operator):
         "Draw a hand on 21 selected objects, one per joint, recognized by their names (such as right_index_finger_mcp "
         "or left_index1). An empty is added that stands for the hand"
     )
-    bl_options = UNDOABLE
 
     handedness: bpy.props.EnumProperty(
         name="Hand", description="Which hands to look for", items=_EITHER, default="BOTH"
@@ -213,10 +210,8 @@ class UseObjects(Reporting, bpy.types.Operator):
     ) -> bpy.types.Object:
         joints = sources.objects_of(bone_map, things)
         holder = bpy.data.objects.new(f"{bone_map.handedness.capitalize()} Hand (objects)", None)
-        holder.empty_display_type, holder.empty_display_size = (
-            "SPHERE",
-            HOLDER_SHAPE_M / context.scene.unit_settings.scale_length,
-        )
+        holder.empty_display_type = "SPHERE"
+        holder.empty_display_size = HOLDER_SHAPE_M / context.scene.unit_settings.scale_length
         context.scene.collection.objects.link(holder)
         common.link_to_active_collection(context, holder)
         holder.location = joints[0].matrix_world.translation
@@ -235,7 +230,6 @@ class FillBoneMap(Reporting, bpy.types.Operator):
     bl_idname = "jghand.fill_bone_map"
     bl_label = "Find Bones Again"
     bl_description = "Look for this hand's bones by their names again"
-    bl_options = UNDOABLE
 
     only_missing: bpy.props.BoolProperty(
         name="Only Missing",
@@ -269,7 +263,6 @@ class Forget(Reporting, bpy.types.Operator):
     bl_idname = "jghand.forget"
     bl_label = "Remove Hand Binding"
     bl_description = "Draw no hand on this object. Bones, objects and keys stay; the bone map is deleted"
-    bl_options = UNDOABLE
 
     handedness: bpy.props.EnumProperty(
         name="Hand", description="Which hand is no longer drawn", items=_EITHER, default="BOTH"
@@ -318,7 +311,6 @@ class LoadAvatar(Reporting, bpy.types.Operator):
     bl_idname = "jghand.load_avatar"
     bl_label = "Load Avatar"
     bl_description = "Choose the avatar file that is drawn on the selected hands"
-    bl_options = UNDOABLE
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
     relative_path: bpy.props.BoolProperty(
@@ -357,6 +349,24 @@ class LoadAvatar(Reporting, bpy.types.Operator):
         scene_light.follow(context.scene, hands)
         if len(hands) < len(_any_hands(context)):
             self.warn("Hands that are linked from another file keep their avatar.")
+
+
+class InstallHands(Reporting, ImportHelper, bpy.types.Operator):
+    bl_idname = "jghand.install_hands"
+    bl_label = "Install Hands"
+    bl_description = "Choose a zip of hands: they are offered by Add Hand from then on, in every file"
+    bl_options = REGISTERED
+
+    filename_ext = ".zip"
+    filter_glob: bpy.props.StringProperty(default="*.zip", options={"HIDDEN"})
+
+    def run(self, _context: bpy.types.Context) -> None:
+        path = Path(bpy.path.abspath(self.filepath))
+        if not path.is_file():
+            raise JGHandFailure("bad_pack", str(path))
+        names, broken = avatar_files.unpack(path, folders.user_folder(seen_hands.HANDS))
+        doubts = [f"Damaged, and left out: {', '.join(broken)}. Get the zip again."] if broken else []
+        self.tell(f"Installed hands: {', '.join(names) or '0'}.", doubts=doubts)
 
 
 class DropAvatar(bpy.types.FileHandler):
@@ -407,7 +417,10 @@ def _meshes_around(context: bpy.types.Context, place: Vector) -> Iterator[bpy.ty
             yield thing
 
 
-CLASSES = (AddHand, AddForearmBone, UseArmature, UseObjects, FillBoneMap, Forget, SelectHand, LoadAvatar, DropAvatar)
+CLASSES = (
+    *(AddHand, AddForearmBone, UseArmature, UseObjects, FillBoneMap, Forget, SelectHand),
+    *(LoadAvatar, InstallHands, DropAvatar),
+)
 
 
 def _add_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:

@@ -24,7 +24,7 @@ from ..core.panel_text import in_blenders_words
 from ..core.view import avatar_stamp
 from ..errors import JGHandFailure
 from ..ops import UNDOABLE_IMPORT, FromFile, followed, poll_scene
-from ..render.camera import add_film_camera, look_through_camera
+from ..render.camera import add_film_camera
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
 from . import armature, controls, motion
@@ -130,7 +130,6 @@ class KeysFile(FromFile):
         name="Set Frame Rate",
         description="Make the scene's frame rate that of the motion, so that all its keys are on whole frames; else "
         "the motion keeps its speed at the scene's rate",
-        default=False,
     )
 
     poll = classmethod(poll_scene)
@@ -146,14 +145,14 @@ class KeysFile(FromFile):
     ) -> Generator[float, None, _Result]:
         """What `read` finds in a folder, after the renderer has done there what it is `said` to. Closed half-way, the
         renderer is asked to end and leaves nothing. JGHandFailure: why it failed."""
-        runtime.jobs().refuse_second(runtime.IMPORT)
+        runtime.jobs.refuse_second(runtime.IMPORT)
         program, folder = runtime.program(learns=self.learns), folders.job_folder()
         results: list[_Result] = []
         spec = JobSpec(
             self.working,
             (*program, *said(folder)),
             on_done=lambda: results.append(read(folder)),
-            on_over=lambda: folders.remove_job_folder(folder),
+            scratch=(folder,),
         )
         job = runtime.start_job(runtime.IMPORT, spec)
         try:
@@ -245,7 +244,6 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     use_scene_range: bpy.props.BoolProperty(
         name="Set Scene Range",
         description="Make the scene's frame range that of the motion",
-        default=False,
     )
 
     hand: bpy.props.EnumProperty(name="Hand", description="Which hand of the file", items=_HANDS)
@@ -399,13 +397,16 @@ class TrackVideo(KeysFile, bpy.types.Operator):
             anchor = next((place for place, one in enumerate(wanted) if one.hand is not None), None)
             near = near_hand(film.motions, anchor, in_place=self.placement == "IN_PLACE")
             wanted = [replace(one, motion=content) for one, content in zip(wanted, near, strict=True)]
-            origin_m = np.zeros(3) if anchor is None else motion.stands_at_m(wanted[anchor].hand, context.scene)
+            hand = None if anchor is None else wanted[anchor].hand
+            stands = np.zeros(3) if hand is None else np.array(hand.matrix_world.translation, dtype=np.float64)
+            origin_m = context.scene.unit_settings.scale_length * stands
             self.conclude(self.keying(context, wanted, origin_m=origin_m), wanted)
             return
         done = self.keying(context, wanted, origin_m=np.zeros(3), set_rate=True)
         camera, is_behind = add_film_camera(context, path, film.size_px, self.camera_angle, self.first_frame)
         common.link_to_active_collection(context, camera)
-        look_through_camera(context.area)
+        if context.area is not None and context.area.type == "VIEW_3D":
+            context.area.spaces.active.region_3d.view_perspective = "CAMERA"
         text = f"{camera.name} sees as the film's camera did; the scene has the film's size and frame rate."
         doubts = [] if is_behind else ["This Blender cannot play the film, so it is not behind the hand."]
         self.conclude([*done, text], wanted, *doubts)

@@ -10,7 +10,7 @@ import bpy
 from .. import ops as common
 from .. import versions
 from ..core import poses
-from ..ops import REGISTERED, UNDOABLE, InTurns, Reporting, missing, poll_bones, poll_controls, poll_hand, poll_hands
+from ..ops import REGISTERED, InTurns, Reporting, missing, poll_bones, poll_controls, poll_hand, poll_hands
 from . import armature, controls
 from . import poses as hand_poses
 from .controls import Touched
@@ -23,7 +23,6 @@ class _Posing(Reporting):
     use_keys: bpy.props.BoolProperty(
         name="Insert Keys",
         description="Key the fingers at this frame. Blender's Auto Keying does so in any case",
-        default=False,
     )
 
     poll = classmethod(poll_hands)
@@ -62,7 +61,6 @@ class ApplyPose(_Posing, bpy.types.Operator):
         "Give this pose to the fingers of the selected hands, in pose mode to the selected bones alone, where any is. "
         "Controls that move these bones alone go to neutral, pinned tips of whole fingers are released, the wrist stays"
     )
-    bl_options = UNDOABLE
 
     pose: bpy.props.EnumProperty(name="Pose", description="The pose", items=POSES)
     part: bpy.props.FloatProperty(
@@ -92,7 +90,6 @@ class FlipPose(_Posing, bpy.types.Operator):
         "Give this hand's pose, mirrored, to the other selected hands, or to the one other hand of the scene. "
         "A hand of the same side gets it as it is"
     )
-    bl_options = UNDOABLE
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -118,7 +115,6 @@ class ResetPose(_Posing, bpy.types.Operator):
         "Put the fingers and controls of the selected hands back to rest, in pose mode the selected bones alone, where "
         "any is; the wrist stays"
     )
-    bl_options = UNDOABLE
 
     def pose_one(self, _context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
         return hand_poses.reset_pose(hand, hand_poses.chosen_part(hand))
@@ -143,13 +139,12 @@ class ShowPoseShelf(Reporting, bpy.types.Operator):
         "Go to pose mode and show the asset shelf of poses below the view: click a pose to apply it, drag to blend it. "
         "Without a selection all bones are posed"
     )
-    bl_options = UNDOABLE
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if not poll_hand(cls, context):
             return False
-        return hand_poses.is_used() or missing(cls, 'Press "Install Pose Library" first')
+        return hand_poses.library() is not None or missing(cls, 'Press "Install Pose Library" first')
 
     def run(self, context: bpy.types.Context) -> None:
         if context.mode != "POSE":
@@ -178,7 +173,6 @@ class AddControls(Reporting, bpy.types.Operator):
         "Add controls for curl and spread of each finger, for fist and splay, pinned tips, and joint limits. "
         "They act on top of the keys and need no script"
     )
-    bl_options = UNDOABLE
 
     poll = classmethod(poll_bones)
 
@@ -194,7 +188,6 @@ class RemoveControls(Reporting, bpy.types.Operator):
     bl_idname = "jghand.remove_controls"
     bl_label = "Remove Finger Controls"
     bl_description = "Remove the controls. The hand falls back to the keys of its bones; bake instead to keep the pose"
-    bl_options = UNDOABLE
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -215,7 +208,6 @@ class BakeControls(InTurns, bpy.types.Operator):
         "Key the visible pose at every frame on the bones of the selected hands, in new actions, and remove the "
         "controls. Earlier actions stay in the file"
     )
-    bl_options = UNDOABLE
 
     working = "Baking finger controls"
 
@@ -233,8 +225,6 @@ class BakeControls(InTurns, bpy.types.Operator):
 
 class _Toggle(Reporting):
     """Switches something of the active hand's controls off, or on again."""
-
-    bl_options = UNDOABLE
 
     poll = classmethod(poll_controls)
 
@@ -271,7 +261,6 @@ class HoldTip(Reporting, bpy.types.Operator):
         "Keep this fingertip where it is while the hand moves, and show the control that leads it; or release it. "
         "Auto Keying keys it"
     )
-    bl_options = UNDOABLE
 
     finger: bpy.props.EnumProperty(name="Finger", description="Whose tip", items=FINGER_ITEMS)
     hold: bpy.props.BoolProperty(name="Pin", description="Pin the tip, or release it", default=True)

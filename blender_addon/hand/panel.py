@@ -16,7 +16,7 @@ from ..renderer import runtime
 from ..renderer.panel import draw_failure, draw_job, draw_status
 from ..ui import Sidebar
 from ..viewport import views
-from . import armature, avatar_files, controls, family, poses, sources
+from . import armature, avatar_files, controls, poses, properties, sources
 from .seen_hands import avatar_of
 
 # the controls that curl and spread
@@ -44,8 +44,10 @@ class HandPanel(Sidebar, bpy.types.Panel):
         status = runtime.link().status
         if status.state == "failed" or (there and (status.state != "ready" or status.doing)):
             draw_status(layout, context)
-        if not there:
-            _draw_empty(layout, context)
+        if not there:  # one sentence and one button
+            ui.paragraph(layout, context, "Add a hand: an armature to pose, with a photorealistic hand on it.")
+            _draw_add(layout, context, icon="VIEW_PAN", scale_y=1.4)
+            _draw_existing(layout, context)
             return
         _draw_hands(layout, context, ui.hands_of(context))
         _draw_problems(layout, context, status.failure)
@@ -73,17 +75,10 @@ def _shading_hint(context: bpy.types.Context) -> str:
     return ""
 
 
-def _draw_empty(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """One sentence and one button."""
-    ui.paragraph(layout, context, "Add a hand: an armature to pose, with a photorealistic hand on it.")
-    _draw_add(layout, context, icon="VIEW_PAN", scale_y=1.4)
-    _draw_existing(layout, context)
-
-
 def _draw_add(layout: bpy.types.UILayout, context: bpy.types.Context, *, icon: str, scale_y: float = 1.0) -> None:
     """Add Hand below the picture of the hand that it adds, where there is more than one."""
     choice = context.window_manager.jghand
-    if len(family.items()) > 1:
+    if len(properties.hand_items()) > 1:
         layout.template_icon_view(choice, "hand", show_labels=True, scale=4.0, scale_popup=6.0)
         layout.label(text=bpy.types.UILayout.enum_item_name(choice, "hand", choice.hand), translate=False)
     row = layout.row()
@@ -124,7 +119,7 @@ def _draw_problems(layout: bpy.types.UILayout, context: bpy.types.Context, told:
         if told is not None and failure.kind == told.kind:
             continue
         draw_failure(layout.box(), context, failure, name)
-    report = runtime.last_report(runtime.VIEWPORT)
+    report = runtime.reports.get(runtime.VIEWPORT)
     warnings = panel_text.warnings(report) if report is not None else ()
     for line in panel_text.folded(warnings, _WARNINGS):
         ui.explained(layout, line, icon="ERROR")
@@ -289,7 +284,7 @@ class PosePanel(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
-        library = "jghand.show_pose_shelf" if poses.is_used() else "jghand.make_pose_assets"
+        library = "jghand.show_pose_shelf" if poses.library() else "jghand.make_pose_assets"
         layout.operator(library, icon="ASSET_MANAGER")
         row = layout.row(align=True)
         row.menu(PoseMenu.bl_idname, icon="ARMATURE_DATA")

@@ -2,8 +2,7 @@
 """Whole poses of our armature: taking one, taking the other hand's, going back to rest, keying what was posed; and
 Blender's own asset shelf of them.
 
-The left hand's bones have the mirrored axes of the right hand's (`core.posing`), so that a turn (w, x, y, z) becomes
-(w, x, -y, -z) and a way (x, y, z) becomes (-x, y, z) on the other hand; turns of the controls are the same on both.
+Turns and ways of bones are mirrored on the other hand (`core.poses`); turns of the controls are the same on both.
 """
 
 from __future__ import annotations
@@ -209,12 +208,13 @@ def use_library() -> str:
     """Makes the folder one of the user's asset libraries, once. Returns the name that it has there: ours may be taken
     by a library of the user's."""
     libraries = bpy.context.preferences.filepaths.asset_libraries
-    library = _library() or libraries.new(name=LIBRARY_NAME, directory=str(FOLDER))
-    return library.name
+    return (library() or libraries.new(name=LIBRARY_NAME, directory=str(FOLDER))).name
 
 
-def is_used() -> bool:
-    return _library() is not None
+def library() -> bpy.types.UserAssetLibrary | None:
+    """Ours among the user's; None where it is not used."""
+    libraries = bpy.context.preferences.filepaths.asset_libraries
+    return next((library for library in libraries if Path(library.path) == FOLDER), None)
 
 
 def show_shelf() -> None:
@@ -225,11 +225,6 @@ def show_shelf() -> None:
     _tries_left = _SHELF_TRIES
     if not bpy.app.timers.is_registered(_try_to_show):
         bpy.app.timers.register(_try_to_show, first_interval=_SHELF_S)
-
-
-def _library() -> bpy.types.UserAssetLibrary | None:
-    libraries = bpy.context.preferences.filepaths.asset_libraries
-    return next((library for library in libraries if Path(library.path) == FOLDER), None)
 
 
 @clock.guarded(None)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is saved with a hand: `object.jghand`, and the rows of a foreign armature's bone map.
+"""What is saved with a hand: `object.jghand`, and the rows of a foreign armature's bone map; and which hands Add Hand
+offers by picture: those that come with JGHand, and those of packs that were installed.
 
 Being Blender's own properties they are saved, duplicated, appended, overridden and undone with their owner. Renaming
 one orphans what older files hold: add a new name instead. Numbers of enum items are stored too, so they stand here.
@@ -7,12 +8,18 @@ one orphans what older files hold: add a new name instead. Numbers of enum items
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
+import bpy.utils.previews
 
 from ..core import bone_maps, poses
+from ..core.bone_maps import JointSource
 from ..core.joints import FINGERS, RIGHT
+from ..core.view import BUILTIN_AVATAR
 from ..versions import path_options
-from . import sources, stand_ins
+from . import avatar_files, sources, stand_ins
+from .seen_hands import hand_folders
 
 # identifier, name, tooltip, icon, number in files
 HANDS = (
@@ -29,32 +36,28 @@ FINGER_ITEMS = tuple((name, name.capitalize(), f"The {name} finger", "NONE", at)
 
 # the named poses; both hands have the same, and numbers are places in the table
 POSES = tuple(
-    (
-        pose.name,
-        pose.label,
-        pose.description or f"A hand pose: {pose.name.replace('_', ' ')}",
-        "NONE",
-        place,
-    )
+    (pose.name, pose.label, pose.description or f"A hand pose: {pose.name.replace('_', ' ')}", "NONE", place)
     for place, pose in enumerate(poses.all_poses(RIGHT))
 )
 
 
 # properties' functions have names of their own: a lambda in an annotation would not see this module
 def _bone(row: JGHandJoint) -> str:
-    return sources.bone_of(row.id_data, row.name)
+    return sources.source_of(row.id_data, row.name).bone
 
 
 def _set_bone(row: JGHandJoint, bone: str) -> None:
-    sources.set_bone(row.id_data, row.name, bone)
+    end = sources.source_of(row.id_data, row.name).end
+    sources.set_source(row.id_data, row.name, JointSource(bone, end) if bone else None)
 
 
 def _end(row: JGHandJoint) -> int:
-    return bone_maps.ENDS.index(sources.end_of(row.id_data, row.name))
+    return bone_maps.ENDS.index(sources.source_of(row.id_data, row.name).end)
 
 
 def _set_end(row: JGHandJoint, place: int) -> None:
-    sources.set_end(row.id_data, row.name, bone_maps.ENDS[place])
+    if bone := sources.source_of(row.id_data, row.name).bone:
+        sources.set_source(row.id_data, row.name, JointSource(bone, bone_maps.ENDS[place]))
 
 
 def _evaluate_again(settings: JGHandObjectSettings, _context: bpy.types.Context) -> None:
@@ -62,11 +65,8 @@ def _evaluate_again(settings: JGHandObjectSettings, _context: bpy.types.Context)
     settings.id_data.update_tag()
 
 
-def _cast_shadow(_settings: JGHandObjectSettings, _context: bpy.types.Context) -> None:
-    stand_ins.update()
-
-
-def _show_forearm(settings: JGHandObjectSettings, context: bpy.types.Context) -> None:
+def _make_anew(settings: JGHandObjectSettings, context: bpy.types.Context) -> None:
+    """... and what throws the shadow."""
     _evaluate_again(settings, context)
     stand_ins.update()
 
@@ -110,14 +110,14 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
         name="Forearm",
         description="Show the forearm, of an avatar that has one. Without it the hand fades out at the wrist",
         default=True,
-        update=_show_forearm,
+        update=_make_anew,
         override=OVERRIDABLE,
     )
     cast_shadow: bpy.props.BoolProperty(
         name="Cast Shadow",
         description="Throw a shadow on the scene in Cycles and EEVEE, by a mesh that no camera sees",
         default=True,
-        update=_cast_shadow,
+        update=_make_anew,
         options=set(),
         override=OVERRIDABLE,
     )
@@ -139,5 +139,50 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
     active_joint: bpy.props.IntProperty(name="Joint", description="The joint that is selected in the list")
 
 
-CLASSES = (JGHandJoint, JGHandObjectSettings)
-SETTINGS = ((bpy.types.Object, JGHandObjectSettings),)
+# ---- the hands that are offered --------------------------------------------------------------------------------------
+
+# Blender keeps no texts of dynamic items, nor their pictures
+_Items = list[tuple[str, str, str, int, int]]
+_items: _Items = []
+_pictures: list[bpy.utils.previews.ImagePreviewCollection] = []
+
+
+def hand_items(_owner: object = None, _context: bpy.types.Context | None = None) -> _Items:
+    """Of an enumeration: the built-in hand, then the others. Their numbers hold until hands are installed."""
+    found = [(BUILTIN_AVATAR, "Built-in", "The hand that comes with JGHand", icon_of(_picture_of(BUILTIN_AVATAR)), 0)]
+    for place, hand in enumerate(avatar_files.hands_in(hand_folders()), 1):
+        found.append((hand.name, hand.title, str(hand.file), icon_of(hand.picture), place))
+    if found != _items:
+        _items[:] = found
+    return _items
+
+
+def _picture_of(name: str) -> Path | None:
+    paths = (folder / f"{name}{avatar_files.PICTURE}" for folder in hand_folders())
+    return next((path for path in paths if path.is_file()), None)
+
+
+def icon_of(picture: Path | None) -> int:
+    """Of a picture as its file is now; 0 for none."""
+    if picture is None or not picture.is_file():
+        return 0
+    if not _pictures:
+        _pictures.append(bpy.utils.previews.new())
+    (loaded,) = _pictures
+    key = f"{picture} {picture.stat().st_mtime_ns}"
+    return (loaded[key] if key in loaded else loaded.load(key, str(picture), "IMAGE")).icon_id
+
+
+class JGHandChoice(bpy.types.PropertyGroup):
+    """`window_manager.jghand`: what Add Hand adds next; not saved with the file."""
+
+    hand: bpy.props.EnumProperty(name="Hand", description="The hand that Add Hand adds", items=hand_items)
+
+
+CLASSES = (JGHandJoint, JGHandObjectSettings, JGHandChoice)
+SETTINGS = ((bpy.types.Object, JGHandObjectSettings), (bpy.types.WindowManager, JGHandChoice))
+
+
+def unregister() -> None:
+    while _pictures:
+        bpy.utils.previews.remove(_pictures.pop())

@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 
 from ..core import bone_maps
-from ..core.bone_maps import HEAD, BoneMap, JointSource, Recognition
+from ..core.bone_maps import BoneMap, JointSource, Recognition
 from ..core.joints import NAMES
 from ..core.view import HandInSpace
 from ..errors import JGHandFailure
@@ -164,36 +164,15 @@ def shown_map(rig: bpy.types.Object) -> BoneMap | None:
     return _read(str(text)) if text is not None else None
 
 
-def bone_of(rig: bpy.types.Object, joint: str) -> str:
-    """The bone of a joint, "" for none."""
-    source = _source(rig, joint)
-    return source.bone if source is not None else ""
-
-
-def set_bone(rig: bpy.types.Object, joint: str, bone: str) -> None:
-    """Gives a joint a bone; "" takes it away."""
-    _change(rig, joint, JointSource(bone, end_of(rig, joint)) if bone else None)
-
-
-def end_of(rig: bpy.types.Object, joint: str) -> str:
-    """Which end of the bone: one of `bone_maps.ENDS`."""
-    source = _source(rig, joint)
-    return source.end if source is not None else HEAD
-
-
-def set_end(rig: bpy.types.Object, joint: str, end: str) -> None:
-    """Takes the other end of a joint's bone; without a bone nothing happens."""
-    bone = bone_of(rig, joint)
-    if bone:
-        _change(rig, joint, JointSource(bone, end))
-
-
-def _source(rig: bpy.types.Object, joint: str) -> JointSource | None:
+def source_of(rig: bpy.types.Object, joint: str) -> JointSource:
+    """The bone of a joint, with the name "" for none, and its end."""
     bone_map = shown_map(rig)
-    return bone_map.sources[NAMES.index(joint)] if bone_map is not None else None
+    source = bone_map.sources[NAMES.index(joint)] if bone_map is not None else None
+    return source or JointSource("")
 
 
-def _change(rig: bpy.types.Object, joint: str, source: JointSource | None) -> None:
+def set_source(rig: bpy.types.Object, joint: str, source: JointSource | None) -> None:
+    """Gives a joint a bone, or takes it away."""
     before = shown_map(rig)
     sources: list[JointSource | None] = [None] * len(NAMES) if before is None else list(before.sources)
     sources[NAMES.index(joint)] = source

@@ -246,12 +246,6 @@ def add_film_camera(
     return camera, clip.frame_duration > 0
 
 
-def look_through_camera(area: bpy.types.Area | None) -> None:
-    """Shows what the scene's camera sees in a 3D view; any other area stays as it is."""
-    if area is not None and area.type == "VIEW_3D":
-        area.spaces.active.region_3d.view_perspective = "CAMERA"
-
-
 def _skin_points(joints: np.ndarray) -> np.ndarray:
     """(N, 3) points around every joint of every frame that the skin stays within, meters."""
     reach = np.full(joints.shape[1], SKIN_M)

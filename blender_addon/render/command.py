@@ -174,8 +174,8 @@ def _render_camera(current: bpy.types.Scene, eye: str, folder: Path, report: dic
 
     def written(which: bpy.types.Scene, *_: object) -> None:
         nonlocal began_s
-        note, now_s = runtime.last_render() or runtime.RenderNote(None), time.perf_counter()
-        runtime.note_render(None)
+        note, now_s = runtime.render_note or runtime.RenderNote(None), time.perf_counter()
+        runtime.render_note = None
         failures.extend([note.failure] if note.failure else [])
         whole_ms, began_s = 1e3 * (now_s - began_s), now_s
         times = {"evaluate_ms": note.evaluate_ms, "request_ms": note.request_ms}
@@ -186,7 +186,7 @@ def _render_camera(current: bpy.types.Scene, eye: str, folder: Path, report: dic
         if not current.render.use_overwrite and Path(current.render.frame_path(frame=frame)).exists():
             tell(frame, "there already", skipped=True)
     told = ""
-    runtime.note_render(None)
+    runtime.render_note = None
     bpy.app.handlers.render_write.append(written)
     # as an exception it would be lost in Blender, which goes on
     before = signal.signal(signal.SIGINT, lambda *_: runtime.render_canceled.set())
@@ -204,7 +204,7 @@ def _render_camera(current: bpy.types.Scene, eye: str, folder: Path, report: dic
     if runtime.render_canceled.is_set():
         runtime.render_canceled.clear()
         raise JGHandFailure("interrupted")
-    note = runtime.last_render()  # of a frame that was not written
+    note = runtime.render_note  # of a frame that was not written
     failures += [note.failure] if note is not None and note.failure else []
     if failures:
         raise failures[0]

@@ -212,29 +212,17 @@ def _things(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.type
     cameras = [marker.camera for marker in scene.timeline_markers]
     parts = [part for hand in seen_hands.sources_at_any_frame(layer) for part in armature.parts_of(hand)]
     known: seen_hands.Known = {}
-    of_light = _is_lamp
-    if scene.jghand.light == "SCENE":
-        throws_back = scene.jghand.use_surroundings or scene.jghand.use_exact_light
-        of_light = _is_of_all_light if throws_back else _is_of_light
+    is_lit, settings = scene.jghand.light == "SCENE", scene.jghand
+    throws_back = settings.use_surroundings or settings.use_exact_light
+
+    def of_light(thing: bpy.types.Object) -> bool:
+        if thing.type == "LIGHT" or not is_lit:
+            return thing.type == "LIGHT"
+        # what throws back counts also where it throws no shadow
+        return worlds.is_surface(thing) and (throws_back or (thing.type in SOLID and thing.visible_shadow))
+
     lights = armature.rendered_at_any_frame(layer, lambda thing: seen_hands.shows(thing, of_light, known))
     return [thing for thing in dict.fromkeys((*parts, scene.camera, *cameras, *lights)) if thing is not None]
-
-
-def _is_lamp(thing: bpy.types.Object) -> bool:
-    return thing.type == "LIGHT"
-
-
-def _is_of_light(thing: bpy.types.Object) -> bool:
-    return _is_lamp(thing) or _may_shade(thing)
-
-
-def _is_of_all_light(thing: bpy.types.Object) -> bool:
-    """... also where it throws no shadow."""
-    return _is_lamp(thing) or worlds.is_surface(thing)
-
-
-def _may_shade(thing: bpy.types.Object) -> bool:
-    return thing.type in SOLID and thing.visible_shadow and armature.STAND_IN not in thing
 
 
 def _copy_curve(source: bpy.types.CurveMapping, target: bpy.types.CurveMapping) -> None:

@@ -18,7 +18,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ..core import film, panel_text
+from ..core import panel_text, view
 from ..core.view import Moment, Part, SceneLight, picture_request
 from ..errors import JGHandFailure
 from ..hand import seen_hands
@@ -78,7 +78,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
             traceback.print_exc()
             failure = JGHandFailure("internal", f"{type(error).__name__}: {error}")
         if failure is not None:
-            runtime.note_render(RenderNote(failure=failure))
+            runtime.render_note = RenderNote(failure=failure)
             if failure.kind == "canceled" and self.test_break():
                 return
             scene = depsgraph.scene.original
@@ -124,12 +124,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
     def _ask(self, seen: list[Moment], outputs: list[str], scene: bpy.types.Scene, light: SceneLight | None) -> Any:
         """The engine's answer. Escape, and whatever else stops the render, ends the wait: JGHandFailure (canceled)."""
         self.update_stats("JGHand", "Waiting for the renderer")
-        header, arrays = picture_request(
-            seen,
-            outputs=outputs,
-            preset=scene.jghand.render_preset,
-            light=light,
-        )
+        header, arrays = picture_request(seen, outputs=outputs, preset=scene.jghand.render_preset, light=light)
         chosen = preferences()
         timeout_s = chosen.render_timeout_s if chosen is not None else REQUEST_S
         return runtime.link().request(header, arrays, timeout_s=timeout_s, canceled=self._is_canceled)
@@ -162,10 +157,10 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
         evaluate_ms, request_ms = (1e3 * seconds for seconds in times)
         if reports:
             names = tuple(hand.name for hand in seen[0].hands)
-            runtime.set_report(runtime.RENDER, {**reports[0], panel_text.HANDS: names})
-        before = runtime.last_render()
+            runtime.reports[runtime.RENDER] = {**reports[0], panel_text.HANDS: names}
+        before = runtime.render_note
         if before is None or before.failure is None:  # another view layer of this frame may have failed
-            runtime.note_render(RenderNote(None, reports, evaluate_ms, request_ms))
+            runtime.render_note = RenderNote(None, reports, evaluate_ms, request_ms)
         counts = [f"{len(seen[0].hands)} hands"] + ([f"{len(seen)} sub-frames"] if len(seen) > 1 else [])
         drawn = [panel_text.milliseconds(report.get("total_ms", 0.0)) for report in reports]
         self.update_stats("JGHand", " · ".join([*counts, *drawn]))
@@ -187,7 +182,7 @@ def _drawn(arrays: dict[str, np.ndarray], scene: bpy.types.Scene) -> Part:
     """What of the picture has to be handed over: all of it, or, where the rest is as empty as Blender's passes are
     anyway, what covers anything."""
     height, width = arrays[COMBINED].shape[:2]
-    rows, columns = film.covered(arrays[COMBINED][..., 3])
+    rows, columns = view.covered(arrays[COMBINED][..., 3])
     if not scene.render.film_transparent or DEPTH in arrays or rows.start == rows.stop:
         return Part(0, 0, width, height)
     return Part(columns.start, rows.start, columns.stop, rows.stop)
@@ -195,14 +190,14 @@ def _drawn(arrays: dict[str, np.ndarray], scene: bpy.types.Scene) -> Part:
 
 def _passes(arrays: dict[str, np.ndarray], scene: bpy.types.Scene, *, linear: bool) -> Iterator[tuple[str, np.ndarray]]:
     """The passes as Blender takes them, of an evaluated scene. linear: whether colors are scene-linear already"""
-    combined = arrays[COMBINED] if linear else film.scene_linear(arrays[COMBINED])
+    combined = arrays[COMBINED] if linear else view.scene_linear(arrays[COMBINED])
     if not scene.render.film_transparent:
-        combined = film.over(combined, samples.background(scene.world))
-    yield COMBINED, film.from_bottom(combined)
+        combined = view.over(combined, samples.background(scene.world))
+    yield COMBINED, view.from_bottom(combined)
     if DEPTH in arrays:
-        yield DEPTH, film.from_bottom(film.depth_units(arrays[DEPTH], scene.unit_settings.scale_length))
+        yield DEPTH, view.from_bottom(view.depth_units(arrays[DEPTH], scene.unit_settings.scale_length))
     if IDS in arrays:
-        yield IDS, film.from_bottom(arrays[IDS])
+        yield IDS, view.from_bottom(arrays[IDS])
 
 
 CLASSES = (JGHandRenderEngine,)

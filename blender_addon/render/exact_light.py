@@ -49,19 +49,11 @@ class _Stage:
     facets: bpy.types.Object
 
 
-@dataclass
-class _Baked:
-    """What was baked before a frame: fields, see `_bake`, of hands; or failure"""
-
-    hands: Sequence[HandInSpace] = ()
-    fields: np.ndarray | None = None
-    failure: JGHandFailure | None = None
-
-
 # by scene, view layer and hands
 _stages: dict[tuple[object, ...], _Stage] = {}
-# of the frame that is rendered on the main thread, by scene and view layer
-_ready: dict[tuple[int, str], _Baked] = {}
+# what was baked before the frame that is rendered on the main thread, by scene and view layer: its hands and their
+# fields, see `_bake`, or why there are none
+_ready: dict[tuple[int, str], tuple[Sequence[HandInSpace], np.ndarray | None] | JGHandFailure] = {}
 
 
 def is_chosen(scene: bpy.types.Scene) -> bool:
@@ -70,16 +62,15 @@ def is_chosen(scene: bpy.types.Scene) -> bool:
 
 def prepare(depsgraph: bpy.types.Depsgraph) -> None:
     """Bakes before a frame that is rendered on the main thread. For render_pre alone."""
-    scene, layer = depsgraph.scene, depsgraph.view_layer
-    _ready.pop((scene.session_uid, layer.name), None)
+    scene, layer = depsgraph.scene, depsgraph.view_layer.name
+    _ready.pop((scene.session_uid, layer), None)
     if not is_chosen(scene):
         return
-    done = _ready[(scene.session_uid, layer.name)] = _Baked()
     try:
-        done.hands = samples.hands_to_render(depsgraph)
-        done.fields = _baked(scene, layer.name, done.hands)
+        hands = samples.hands_to_render(depsgraph)
+        _ready[scene.session_uid, layer] = hands, _baked(scene, layer, hands)
     except JGHandFailure as failure:
-        done.failure = failure
+        _ready[scene.session_uid, layer] = failure
     finally:
         clear()
 
@@ -95,16 +86,17 @@ def with_baked(
     scene, layer = depsgraph.scene, depsgraph.view_layer.name
     if light is None or not seen or not is_chosen(scene):
         return light
-    done = _ready.pop((scene.session_uid, layer), _Baked())
+    done = _ready.pop((scene.session_uid, layer), ((), None))
     if handover.is_possible():
         # those of the frame, as without a window, and not of a moment of the shutter
         hands = samples.hands_at(depsgraph)
-        done = _Baked(hands, handover.do(partial(_baked, scene, layer, hands), is_canceled))
-    if done.failure is not None:
-        raise done.failure
-    if done.fields is None or _sides(done.hands) != _sides(seen):
+        done = hands, handover.do(partial(_baked, scene, layer, hands), is_canceled)
+    if isinstance(done, JGHandFailure):
+        raise done
+    hands, baked = done
+    if baked is None or _sides(hands) != _sides(seen):
         raise JGHandFailure("exact_light")
-    return replace(light, baked=done.fields)
+    return replace(light, baked=baked)
 
 
 def tend() -> None:
@@ -164,34 +156,29 @@ def _bake(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, hands: Sequence[Ha
 def _new_stage(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Sequence[Surface]) -> _Stage:
     made: list[Any] = []
     try:
-        return _built(scene, layer, surfaces, made)
+        own = probe.new_scene(scene, None, made, SAMPLES)
+        white = probe.new_material("ShaderNodeBsdfDiffuse", (1.0, 1.0, 1.0, 1.0), made)
+        skin = probe.new_material("ShaderNodeBsdfDiffuse", stand_ins.SKIN_RGBA, made)
+        above = probe.new_facets(np.zeros((LOOKS * FINE_POINTS * len(surfaces), 3, 3)), made)
+        above.data.materials.append(white)
+        for name in _SEEN_BY:
+            setattr(above, f"visible_{name}", False)
+        hands = []
+        for surface in surfaces:
+            mesh = bpy.data.meshes.new(probe.NAME)
+            made.append((bpy.data.meshes, mesh))
+            mesh.from_pydata(surface.vertices, [], surface.faces)
+            mesh.materials.append(skin)
+            hands.append(bpy.data.objects.new(probe.NAME, mesh))
+            made.append((bpy.data.objects, hands[-1]))
+        there = armature.rendered_at_any_frame(layer, _is_there)
+        of_hands = armature.rendered_at_any_frame(layer, armature.is_any_hand)
+        there = [_linked(thing, above, hands, of_hands, made) if thing.type == "LIGHT" else thing for thing in there]
+        for thing in (above, *hands, *there):
+            own.collection.objects.link(thing)
+        return _Stage(own, hands, above)
     finally:
         handover.leave(made)
-
-
-def _built(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Sequence[Surface], made: list[Any]) -> _Stage:
-    """made: see `probe.new_scene`"""
-    own = probe.new_scene(scene, None, made, SAMPLES)
-    white = probe.new_material("ShaderNodeBsdfDiffuse", (1.0, 1.0, 1.0, 1.0), made)
-    skin = probe.new_material("ShaderNodeBsdfDiffuse", stand_ins.SKIN_RGBA, made)
-    above = probe.new_facets(np.zeros((LOOKS * FINE_POINTS * len(surfaces), 3, 3)), made)
-    above.data.materials.append(white)
-    for name in _SEEN_BY:
-        setattr(above, f"visible_{name}", False)
-    hands = []
-    for surface in surfaces:
-        mesh = bpy.data.meshes.new(probe.NAME)
-        made.append((bpy.data.meshes, mesh))
-        mesh.from_pydata(surface.vertices, [], surface.faces)
-        mesh.materials.append(skin)
-        hands.append(bpy.data.objects.new(probe.NAME, mesh))
-        made.append((bpy.data.objects, hands[-1]))
-    there = armature.rendered_at_any_frame(layer, _is_there)
-    of_hands = armature.rendered_at_any_frame(layer, armature.is_any_hand)
-    there = [_linked(thing, above, hands, of_hands, made) if thing.type == "LIGHT" else thing for thing in there]
-    for thing in (above, *hands, *there):
-        own.collection.objects.link(thing)
-    return _Stage(own, hands, above)
 
 
 def _is_there(thing: bpy.types.Object) -> bool:

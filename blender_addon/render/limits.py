@@ -9,12 +9,13 @@ but not a room with windows around both a hand and what sees or lights it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import bpy
 import numpy as np
 
 from .. import versions
+from ..core.panel_text import listed
 from ..core.view import LIGHT_FROM_WORLD
 from ..hand import armature, seen_hands
 from . import ENGINE, composite, handover, lamps, rendering, scene_light, scene_shadows, worlds
@@ -63,7 +64,7 @@ def sentences(context: bpy.types.Context) -> tuple[str, ...]:
         found,
         is_mixed,
         frozenset(kinds.items()),
-        scene_shadows.edits(),
+        scene_shadows.edits,
         *(each.tobytes() for each in (joints, from_eye, from_lamps)),
     )
     if last[0] != key:
@@ -86,12 +87,8 @@ def left_out(layer: bpy.types.ViewLayer) -> tuple[str, ...]:
 
     found = armature.rendered_at_any_frame(layer, lambda thing: seen_hands.shows(thing, wanted, known))
     things = [thing.name for thing in found]
-    text = f'JGHand renders hands alone, without {_listed(things)}. "Set Up Compositing" renders both'
+    text = f'JGHand renders hands alone, without {listed(things, _NAMED)}. "Set Up Compositing" renders both'
     return (text,) if things else ()
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:_NAMED]) + ", …" * (len(names) > _NAMED)
 
 
 def _between(
@@ -118,7 +115,7 @@ def _between(
         (parts, "{name}: its panes shade hands; separate them, then turn off Shadow in their Ray Visibility"),
     ):
         if names:
-            yield text.format(name=_listed([*names]))
+            yield text.format(name=listed([*names], _NAMED))
 
 
 def _of_view(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Iterator[str]:

@@ -12,7 +12,7 @@ from .. import versions
 from ..errors import JGHandFailure
 from ..hand import armature, seen_hands
 from ..hand.ops import add_camera
-from ..ops import PLUMBING, REGISTERED, UNDOABLE, Reporting, missing
+from ..ops import PLUMBING, REGISTERED, Reporting, missing
 from . import ENGINE, composite, limits, scene_light
 
 
@@ -24,7 +24,6 @@ class UseEngine(Reporting, bpy.types.Operator):
         "images of all else, too, use Set Up Compositing. Locks the interface while rendering, since Blender can crash "
         "when a scene is edited meanwhile"
     )
-    bl_options = UNDOABLE
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -61,7 +60,6 @@ class UseStandard(Reporting, bpy.types.Operator):
         "Set this scene's view transform to Standard, without look, exposure and gamma: the hand then has the colors "
         "of its capture. AgX and Filmic are made for light, and the hand is a photograph already"
     )
-    bl_options = UNDOABLE
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -76,7 +74,6 @@ class AddCamera(Reporting, bpy.types.Operator):
     bl_idname = "jghand.add_camera"
     bl_label = "Add Hand Camera"
     bl_description = "Add a camera that shows the active hand as it is now, and make it the scene's camera"
-    bl_options = UNDOABLE
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -112,7 +109,6 @@ class CombineWithScene(Reporting, bpy.types.Operator):
         "one, which Cycles or EEVEE renders. Once more brings it up to date with this scene's hands, camera, size and "
         "frames. Locks the interface while rendering, because Blender can crash when a scene is edited meanwhile"
     )
-    bl_options = UNDOABLE
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -140,7 +136,6 @@ class RemoveCombination(Reporting, bpy.types.Operator):
     bl_idname = "jghand.remove_combination"
     bl_label = "Remove Compositing"
     bl_description = "Take away the hands' own scene and the nodes that combine it; nodes of yours stay"
-    bl_options = UNDOABLE
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -171,15 +166,7 @@ class SaveLight(Reporting, ExportHelper, bpy.types.Operator):
             raise JGHandFailure("no_place")
         path = Path(bpy.path.abspath(self.filepath)).with_suffix(".json")
         scene_light.save(context.evaluated_depsgraph_get(), path)
-        self.tell(f"Wrote {path}.", *scene_light.warnings())
+        self.tell(f"Wrote {path}.", *scene_light.warnings)
 
 
-CLASSES = (
-    UseEngine,
-    UseStandard,
-    AddCamera,
-    CombineWithScene,
-    RemoveCombination,
-    SaveLight,
-    Explain,
-)
+CLASSES = (UseEngine, UseStandard, AddCamera, CombineWithScene, RemoveCombination, SaveLight, Explain)

@@ -7,7 +7,6 @@ import bpy
 
 from .. import ui
 from ..core import panel_text
-from ..core.panel_text import ReceiptText
 from ..errors import JGHandFailure
 from ..hand import avatar_files, seen_hands
 from ..renderer import runtime
@@ -53,7 +52,7 @@ class LightPanel(ui.HandSidebar, bpy.types.Panel):
         around.active = is_chosen
         around.prop(scene.jghand, "use_surroundings")
         around.prop(scene.jghand, "use_exact_light")
-        for warning in scene_light.warnings() if is_chosen else ():
+        for warning in scene_light.warnings if is_chosen else ():
             ui.paragraph(layout, context, warning, icon="INFO")
         hand = ui.active(context)
         if hand is not None and hand.type == "ARMATURE":
@@ -164,11 +163,17 @@ class StatisticsPage(_Page, bpy.types.Panel):
             text = f"Dropped frames: {dropped}"
             tip = "Frames of the last playback that were drawn before their image came"
             ui.explained(self.layout, panel_text.Line(text, tip=tip), icon="INFO")
-        for kind, title in ((runtime.VIEWPORT, "Viewport"), (runtime.RENDER, "Render")):
-            receipt = receipt_of(context, kind)
-            if receipt is not None:
-                self.layout.label(text=title)
-                _draw_receipt(self.layout, receipt)
+        settings = context.scene.jghand
+        budget_ms = settings.viewport_budget_ms if settings.use_viewport_budget else None
+        for kind, title, of_it_ms in ((runtime.VIEWPORT, "Viewport", budget_ms), (runtime.RENDER, "Render", None)):
+            if (report := runtime.reports.get(kind)) is None:
+                continue
+            self.layout.label(text=title)
+            for line in panel_text.warnings(report):
+                ui.explained(self.layout, line, icon="ERROR")
+            column = self.layout.column(align=True)
+            for line in panel_text.receipt_lines(report, of_it_ms):
+                ui.figure(column, line)
 
 
 class FilmPage(_OwnPage, bpy.types.Panel):
@@ -204,26 +209,6 @@ class PassesPage(_OwnPage, bpy.types.Panel):
         column = ui.settings(self.layout)
         column.prop(context.view_layer, "use_pass_z", text="Depth")
         column.prop(context.scene.jghand, "use_pass_ids")
-
-
-def receipt_of(context: bpy.types.Context, kind: str) -> ReceiptText | None:
-    """The newest receipt of a kind in words; None before there is one."""
-    report = runtime.last_report(kind)
-    if report is None:
-        return None
-    settings = context.scene.jghand
-    budgeted = kind == runtime.VIEWPORT and settings.use_viewport_budget
-    return panel_text.receipt_text(report, settings.viewport_budget_ms if budgeted else None)
-
-
-def _draw_receipt(layout: bpy.types.UILayout, receipt: ReceiptText) -> None:
-    """Warnings, the whole and its stages; why is in the tooltips."""
-    for line in receipt.warnings:
-        ui.explained(layout, line, icon="ERROR")
-    column = layout.column(align=True)
-    ui.figure(column, receipt.total)
-    for line in receipt.stages:
-        ui.figure(column, line)
 
 
 CLASSES = (

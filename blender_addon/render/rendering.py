@@ -88,7 +88,7 @@ def on_render(scene: bpy.types.Scene, *_: Any) -> None:
     if scene is None or composite.is_hands_scene(scene):
         return
     _failed = ""
-    runtime.note_render(None)
+    runtime.render_note = None
     text = sentence_of(scene)
     if not text or (scene.session_uid, text) in _said:
         return
@@ -126,11 +126,6 @@ def sentence(engine: str) -> str:
     name = engine.removeprefix("BLENDER_").removesuffix("_NEXT").replace("_", " ").title()
     name = {"Eevee": "EEVEE"}.get(name, name)
     return f"This image has no hands: {name} does not draw them."
-
-
-def was_said(scene: bpy.types.Scene) -> bool:
-    """Whether it was said of this scene, and shown."""
-    return any(uid == scene.session_uid for uid, _ in _said) and ui.later is None
 
 
 APP_HANDLERS = (("render_init", on_render),)

@@ -6,7 +6,7 @@ Blender evaluates no sub-frames for an engine that is not its own; the engine as
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import bpy
@@ -44,7 +44,8 @@ def read_moments(depsgraph: bpy.types.Depsgraph, frame: Frame, frame_set: Callab
     things = [thing for thing in there if not thing.hide_render]
     known: seen_hands.Known = {}
     hands = [hand for thing in things for hand, _ in seen_hands.hands_shown(thing, known, for_render=True)]
-    if bpy.app.autoexec_fail and any(map(_has_scripts, _parts(*things, *hands, frame.eye()))):
+    parts = (part for thing in (*things, *hands, frame.eye()) for part in armature.parts_of(thing))
+    if bpy.app.autoexec_fail and any(map(_has_scripts, parts)):
         raise JGHandFailure("scripts_blocked", bpy.app.autoexec_fail_message)
     times = shutter_times(depsgraph.scene_eval)
     names = [armature.name_in_files(thing) for thing in things]
@@ -62,12 +63,7 @@ def read_moments(depsgraph: bpy.types.Depsgraph, frame: Frame, frame_set: Callab
     # one that is mirrored, or comes and goes, while the shutter is open cannot be averaged: the hands of the middle
     middle = _sides(moments[len(moments) // 2])
     moments = [moment for moment in moments if _sides(moment) == middle]
-    return moments if _moves(moments) else moments[:1]
-
-
-def _parts(*things: bpy.types.Object) -> Iterator[bpy.types.Object]:
-    for thing in things:
-        yield from armature.parts_of(thing)
+    return moments if len({_numbers(moment) for moment in moments}) > 1 else moments[:1]
 
 
 def _has_scripts(thing: bpy.types.Object) -> bool:
@@ -145,16 +141,11 @@ def _sides(moment: Moment) -> list[tuple[str, str, bool]]:
     return [(hand.handedness, hand.avatar, hand.forearm) for hand in moment.hands]
 
 
-def _moves(moments: list[Moment]) -> bool:
-    first = moments[0]
-    return any(_numbers(moment) != _numbers(first) for moment in moments[1:])
-
-
-def _numbers(moment: Moment) -> list[object]:
+def _numbers(moment: Moment) -> tuple[object, ...]:
+    """The same for moments at which nothing moves."""
     view = moment.view
-    numbers: list[object] = [view.fx, view.fy, view.cx, view.cy, view.aperture_m, view.focus_m]
-    numbers.append(view.camera_from_world.tobytes())
-    return numbers + [hand.pose_bytes for hand in moment.hands]
+    lens = view.fx, view.fy, view.cx, view.cy, view.aperture_m, view.focus_m, view.camera_from_world.tobytes()
+    return (*lens, *(hand.pose_bytes for hand in moment.hands))
 
 
 def background(world: bpy.types.World | None) -> tuple[float, float, float]:

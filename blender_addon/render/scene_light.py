@@ -38,7 +38,7 @@ _made: dict[tuple[str, str], SceneLight] = {}
 # views whose last light with what things take of it is kept, by their place at the link
 _SHADED_MAX = 8
 # sentences about what of the light of the last render, or view, is not honored
-_warnings: tuple[str, ...] = ()
+warnings: tuple[str, ...] = ()
 # seconds for which a world rests before it is measured: nothing while somebody turns a knob of it
 _REST_S = 0.3
 
@@ -132,7 +132,7 @@ def shaded_in_view(
     that they have: rays take longer than a frame may."""
     if light is None or not light.lamps or not hands:
         return light
-    key: tuple[object, ...] = (light.key, scene_shadows.edits(), depsgraph.scene.session_uid, depsgraph.view_layer.name)
+    key: tuple[object, ...] = (light.key, scene_shadows.edits, depsgraph.scene.session_uid, depsgraph.view_layer.name)
     key += tuple((hand.handedness, hand.joints_world_m.tobytes()) for hand in hands)
     shape = (len(light.lamps), *(hand.handedness for hand in hands))
     last, now_s = _shaded.get(view), time.monotonic()
@@ -196,11 +196,6 @@ def _learned_in_known_light(hand: bpy.types.Object) -> bool:
         return avatar_files.card_of(seen_hands.avatar_of(hand)).known_light
     except JGHandFailure:  # the panel of hands says why
         return False
-
-
-def warnings() -> tuple[str, ...]:
-    """Sentences about what of the light that hands were shown in last is not honored."""
-    return _warnings
 
 
 def tend() -> bool:
@@ -288,11 +283,11 @@ def _world(depsgraph: bpy.types.Depsgraph, hands: Sequence[bpy.types.Object]) ->
 
 
 def _together(found: SceneLamps, world: Reading) -> SceneLight:
-    global _warnings
+    global warnings
     known = _unmeasured.get(_attempt(world.stale)) if world.stale else None
-    _warnings = (*found.warnings, *map(str, world.failures if known is None else [known]))
+    warnings = (*found.warnings, *map(str, world.failures if known is None else [known]))
     if world.for_cameras:
-        _warnings += ("The world shows to the camera alone and lights no hands; let diffuse rays see it",)
+        warnings += ("The world shows to the camera alone and lights no hands; let diffuse rays see it",)
     around = world.light
     key = (found.key, "" if around is None else repr((around.record, around.suns)))
     if key not in _made:

@@ -81,24 +81,14 @@ class _Standing:
     shapes: dict[tuple[int, int], bytes] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class _Thing:
-    """Something that may stand in the light.
-
-    shape:  its triangles
-    matrix: (4, 4) to the axes of the lamps, meters
-    """
-
-    shape: _Shape
-    matrix: np.ndarray
-
-
+# something that may stand in the light: its triangles, and (4, 4) to the axes of the lamps, meters
+_Thing = tuple[_Shape, np.ndarray]
 # by scene and view layer; by digest, the last used at the end, as what was found for lamps
 _standing: dict[Hashable, _Standing] = {}
 _shapes: OrderedDict[bytes, _Shape] = OrderedDict()
 _found: OrderedDict[Hashable, np.ndarray] = OrderedDict()
-# how often something was edited that may throw a shadow
-_edits = 0
+# how often something was edited that may throw a shadow: as long as this stays, so does that
+edits = 0
 
 
 def left_of_lamps(
@@ -121,12 +111,12 @@ def left_of_lamps(
     around = cache(partial(_around, points_m, normals))  # for all lamps
     for place, rows in between.items():
         things = [
-            _Thing(_shapes[digest], standing.matrices[row])
+            (_shapes[digest], standing.matrices[row])
             for row in rows
             if (digest := standing.shapes.get(standing.meshes[row])) is not None and _shapes[digest].tree is not None
         ]
         if things:
-            key = (skin, repr(lamps[place]), *((thing.shape.digest, thing.matrix.tobytes()) for thing in things))
+            key = (skin, repr(lamps[place]), *((shape.digest, matrix.tobytes()) for shape, matrix in things))
             if key not in _found:
                 _found[key] = _look(points_m, normals, lamps[place], things, around)
                 if len(_found) > _FOUND:
@@ -136,11 +126,6 @@ def left_of_lamps(
     return left
 
 
-def edits() -> int:
-    """As long as this stays, so does what may throw a shadow."""
-    return _edits
-
-
 def notice(depsgraph: bpy.types.Depsgraph) -> None:
     """Something was changed in Blender, or another frame is evaluated."""
     if any(_may_shade(update.id) for update in depsgraph.updates):
@@ -148,8 +133,8 @@ def notice(depsgraph: bpy.types.Depsgraph) -> None:
 
 
 def expect() -> None:
-    global _edits
-    _edits += 1
+    global edits
+    edits += 1
 
 
 def _may_shade(thing: bpy.types.ID) -> bool:
@@ -183,14 +168,14 @@ def _solids(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, 
 def _mesh_of(thing: bpy.types.Object) -> tuple[int, int]:
     """What an evaluated mesh is known by: its address, and the number that it gets anew at each evaluation; where
     Blender gives it none, it is another after each edit."""
-    return thing.data.session_uid or -_edits - 1, thing.data.as_pointer()
+    return thing.data.session_uid or -edits - 1, thing.data.as_pointer()
 
 
 def _standing_in(depsgraph: bpy.types.Depsgraph) -> _Standing:
     """Where things stand; a render reads it each time, as edits are not told of there."""
     key = (depsgraph.scene.session_uid, depsgraph.view_layer.name)
     last = _standing.get(key) if depsgraph.mode == "VIEWPORT" else None
-    if last is not None and last.edits == _edits:
+    if last is not None and last.edits == edits:
         return last
     meshes, names, places = [], [], []
     boxes: dict[tuple[int, int], np.ndarray] = {}
@@ -210,7 +195,7 @@ def _standing_in(depsgraph: bpy.types.Depsgraph) -> _Standing:
     middles = (turns @ box.mean(1)[:, :, None])[..., 0] + matrices[:, :3, 3]
     radii = np.linalg.norm((np.abs(turns) @ (box[:, 1] - box[:, 0])[:, :, None])[..., 0], axis=-1) / 2
     known = {mesh: last.shapes[mesh] for mesh in boxes if mesh in last.shapes} if last is not None else {}
-    standing = _Standing(_edits, meshes, names, matrices, middles, radii, known)
+    standing = _Standing(edits, meshes, names, matrices, middles, radii, known)
     if depsgraph.mode == "VIEWPORT":
         if len(_standing) >= _SCENES:
             _standing.clear()
@@ -384,17 +369,17 @@ def _ends(starts: np.ndarray, lamp: Mapping[str, Any], at: np.ndarray) -> np.nda
 def _are_hit(starts: np.ndarray, ways: np.ndarray, things: Sequence[_Thing]) -> np.ndarray:
     """(N,) whether a thing is met on the way from each point."""
     hit = np.zeros(len(starts), bool)
-    for thing in things:
-        if thing.shape.tree is None or not np.linalg.det(thing.matrix[:3, :3]):
+    for shape, matrix in things:
+        if shape.tree is None or not np.linalg.det(matrix[:3, :3]):
             continue
-        back = np.linalg.inv(thing.matrix)
+        back = np.linalg.inv(matrix)
         rows = np.flatnonzero(~hit)
         origins = starts[rows] @ back[:3, :3].T + back[:3, 3]
         along = ways[rows] @ back[:3, :3].T
-        near = np.flatnonzero(meet_box(origins, along, thing.shape.box))
+        near = np.flatnonzero(meet_box(origins, along, shape.box))
         rows, origins, along = rows[near], origins[near], along[near]
         lengths = np.linalg.norm(along, axis=-1)
-        cast = thing.shape.tree.ray_cast
+        cast = shape.tree.ray_cast
         hit[rows] = [
             cast(origin, way, length)[0] is not None
             for origin, way, length in zip(origins.tolist(), along.tolist(), lengths.tolist(), strict=True)

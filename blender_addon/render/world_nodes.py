@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from operator import add, mul, sub
 from typing import Any
 
 import bpy
@@ -26,13 +27,7 @@ _DIFFUSE_RAY = {
 }
 # of a Mix node, which has inputs for every type of value
 _MIX_COLORS = ("A_Color", "B_Color")
-_SUMS = {
-    "ADD": lambda a, b: a + b,
-    "SUBTRACT": lambda a, b: a - b,
-    "MULTIPLY": lambda a, b: a * b,
-    "MAXIMUM": max,
-    "MINIMUM": min,
-}
+_SUMS = {"ADD": add, "SUBTRACT": sub, "MULTIPLY": mul, "MAXIMUM": max, "MINIMUM": min}
 # how deep a node's own values are nested: those of a color ramp, and of a curve
 _VALUES_DEPTH = 3
 

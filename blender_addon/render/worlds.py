@@ -11,7 +11,7 @@ Pictures are averaged once and kept; what was measured is kept until something e
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -22,8 +22,9 @@ import bpy
 import numpy as np
 
 from .. import versions
-from ..core import film, worlds
+from ..core import worlds
 from ..core.pacing import digest
+from ..core.view import linear_of
 from ..core.worlds import Sun, WorldLight
 from ..errors import JGHandFailure
 from ..hand import armature
@@ -42,7 +43,7 @@ _pictures: OrderedDict[str, np.ndarray] = OrderedDict()
 _products: OrderedDict[str, np.ndarray] = OrderedDict()
 _measured: OrderedDict[str, WorldLight] = OrderedDict()
 # session_uid of images, and _AROUND for all else around hands -> how often that was changed
-_changes: dict[int, int] = {}
+_changes: Counter[int] = Counter()
 _AROUND = -1
 # what stood around hands last, by session_uid of scenes and names of view layers
 _stood: dict[tuple[int, str], str] = {}
@@ -139,15 +140,11 @@ def notice(depsgraph: bpy.types.Depsgraph) -> None:
     for change in depsgraph.updates:
         thing, is_other = change.id, change.is_updated_transform or change.is_updated_geometry
         if isinstance(thing, bpy.types.Image):
-            _count(thing.session_uid)
+            _changes[thing.session_uid] += 1
         elif isinstance(thing, bpy.types.Material | bpy.types.Light) or (
             is_other and isinstance(thing, bpy.types.Object) and (_is_around(thing) or thing.type == "LIGHT")
         ):
-            _count(_AROUND)
-
-
-def _count(what: int) -> None:
-    _changes[what] = _changes.get(what, 0) + 1
+            _changes[_AROUND] += 1
 
 
 def forget() -> None:
@@ -201,7 +198,7 @@ def _of_color(rgb: np.ndarray) -> WorldLight | None:
 def _of_picture(shine: Shine) -> WorldLight:
     image = shine.source
     parts = [image.session_uid, image.filepath, image.size[:], image.colorspace_settings.name, image.source]
-    parts += [image.generated_type, image.generated_color[:], image.is_dirty, _changes.get(image.session_uid, 0)]
+    parts += [image.generated_type, image.generated_color[:], image.is_dirty, _changes[image.session_uid]]
     name = digest([repr(parts), _space()])
     picture = _pictures.get(name)
     picture = _keep(_pictures, name, _read(image) if picture is None else picture)
@@ -211,11 +208,6 @@ def _of_picture(shine: Shine) -> WorldLight:
         light = picture * shine.gain.astype(np.float32) + shine.even.astype(np.float32)
         radiance = _keep(_products, key, _rec709(light))
     return WorldLight(radiance, shine.turn, key=key)
-
-
-def picture_of(image: bpy.types.Image) -> np.ndarray:
-    """(H, W, 3) float32 Rec.709 of an environment, averaged. Raises as `_read`."""
-    return _rec709(_read(image))
 
 
 def _read(image: bpy.types.Image) -> np.ndarray:
@@ -235,7 +227,7 @@ def _read(image: bpy.types.Image) -> np.ndarray:
     image.pixels.foreach_get(values)
     values = values.reshape(height, width, channels)[::-1, :, :3]
     if is_encoded:
-        values = film.linear_of(values)
+        values = linear_of(values)
     return worlds.averaged(np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0))
 
 
@@ -352,7 +344,7 @@ def read_hdri() -> bool:
     image = None
     try:
         image = bpy.data.images.load(path)
-        _hdris[path] = picture_of(image)
+        _hdris[path] = _rec709(_read(image))
     except (RuntimeError, JGHandFailure, Unread):  # no such file, or none that can be read
         _hdris[path] = None
     finally:

@@ -9,7 +9,7 @@ limit.
 
 from __future__ import annotations
 
-import json
+import shutil
 import time
 import traceback
 from collections import deque
@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from ..core.panel_text import duration
-from ..errors import BAD_INPUT, INTERRUPTED, JGHandFailure, kind_of_exit
+from ..errors import BAD_INPUT, EXIT_KINDS, INTERRUPTED, JGHandFailure
 from . import state as machine
-from .process import Child
+from .process import Child, told_in
 
 # a job that was asked to stop finishes a step and writes a checkpoint, or a picture; then it is asked again, then ended
 JOB_STOP_S = 30.0
@@ -101,17 +101,6 @@ class JobState:
         return replace(self, phase=Phase.FAILED, eta_s=None, failure=failure)
 
 
-def parse_line(line: str) -> dict[str, Any] | None:
-    """What a line of the engine's standard error says (`jghand … --progress-json`); None for any other line."""
-    if not line.startswith("{"):
-        return None
-    try:
-        content = json.loads(line)
-    except (ValueError, RecursionError):
-        return None
-    return content if isinstance(content, dict) and isinstance(content.get("jghand"), str) else None
-
-
 def failure_of(exit_code: int, error: Mapping[str, Any] | None, log: str) -> JGHandFailure:
     """Why a process ended: what it said itself, else what its exit code tells."""
     if error is not None:
@@ -122,7 +111,7 @@ def failure_of(exit_code: int, error: Mapping[str, Any] | None, log: str) -> JGH
     if exit_code == BAD_INPUT:
         # a mistake in the arguments: an engine that does not know what this extension asks for
         return JGHandFailure("protocol", last)
-    kind = kind_of_exit(exit_code)
+    kind = EXIT_KINDS.get(exit_code, "crashed")
     return JGHandFailure(kind, f"exit code {exit_code}\n{last}".strip() if kind == "crashed" else last)
 
 
@@ -145,8 +134,8 @@ class JobSpec:
     more: tuple[tuple[str, ...], ...] = ()
     # called once, on the thread that ticks, when it is done; what it raises makes the job a failed one
     on_done: Callable[[], None] | None = None
-    # called once, when it is over however it ended; takes away what only the job needed
-    on_over: Callable[[], None] | None = None
+    # folders that only the job needs: they go when it is over, however it ended
+    scratch: tuple[Path, ...] = ()
 
 
 class Job:
@@ -180,7 +169,9 @@ class Job:
         process = self._process
         code = process.popen.poll() if process is not None else None
         if process is not None and code is None:
-            self._insist()
+            waited_s = 0.0 if self._asked_s is None else time.monotonic() - self._asked_s
+            if waited_s > JOB_STOP_S:  # by force what does not answer a request to stop
+                process.end_tree(at_once=waited_s > JOB_STOP_S + machine.TERMINATE_S)
         elif code is not None and self._said_all():
             self._end(code)
         return self.state != before
@@ -192,7 +183,7 @@ class Job:
         self.state = replace(self.state, phase=Phase.CANCELLING)
         if self._asked_s is None:
             self._asked_s = time.monotonic()
-            self._close_input()
+            self.close_input()
 
     def wait(self, timeout_s: float) -> bool:
         """Blocks until it is over, at most so long; True when it is over."""
@@ -213,10 +204,10 @@ class Job:
                 return
         self.wait(2 * JOB_LAST_WORDS_S)
 
-    def let_go(self) -> None:
-        """The end of Blender: the job is asked to stop and not looked at any more. It ends by itself, a training with
-        its checkpoint."""
-        self._close_input()
+    def close_input(self) -> None:
+        """Asks it to stop, whether it is looked at any more or not: a training writes its checkpoint, and ends."""
+        if self._process is not None:
+            self._process.close_stdin()
 
     # ---- the process -------------------------------------------------------------------------------------------------
 
@@ -237,14 +228,14 @@ class Job:
     def _hear(self, line: str, _is_output: bool) -> None:
         """However much comes, only the newest is kept."""
         self._heard_s = time.monotonic()
-        content = parse_line(line)
-        if content is None:
-            if line:
+        content = told_in(line)
+        match content.get("jghand"):
+            case "error":
+                self._error = content
+            case "progress" | "training":
+                self._progress = content
+            case other if line and not isinstance(other, str):
                 self._output.append(line[: machine.LOG_LINE_MAX])
-        elif content["jghand"] == "error":
-            self._error = content
-        elif content["jghand"] in ("progress", "training"):
-            self._progress = content
 
     def _take_news(self) -> None:
         progress, self._progress = self._progress, None
@@ -260,7 +251,7 @@ class Job:
 
     def _end(self, code: int) -> None:
         self._take_news()
-        self._close_input()
+        self.close_input()
         canceled = self.state.phase is Phase.CANCELLING
         if code == 0 and self._waiting and not canceled:
             self.state = JobState(text=self.spec.title)
@@ -277,8 +268,8 @@ class Job:
         self._over()
 
     def _over(self) -> None:
-        if self.spec.on_over is not None:
-            self._call(self.spec.on_over)
+        for folder in self.spec.scratch:
+            shutil.rmtree(folder, ignore_errors=True)
 
     def _call(self, work: Callable[[], None]) -> None:
         """What others have to do at the end. Whatever goes wrong there makes this a failed job, with its trace in the
@@ -290,18 +281,6 @@ class Job:
         except Exception as error:
             self._output.extend(traceback.format_exc().splitlines())
             self.state = self.state.failed(JGHandFailure("internal", f"{type(error).__name__}: {error}"))
-
-    def _insist(self) -> None:
-        """Ends by force what does not answer a request to stop."""
-        if self._asked_s is None or self._process is None:
-            return
-        waited_s = time.monotonic() - self._asked_s
-        if waited_s > JOB_STOP_S:
-            self._process.end_tree(at_once=waited_s > JOB_STOP_S + machine.TERMINATE_S)
-
-    def _close_input(self) -> None:
-        if self._process is not None:
-            self._process.close_stdin()
 
 
 class JobTable:
@@ -343,7 +322,7 @@ class JobTable:
         longer, as a training for its checkpoint, end by themselves."""
         running = self.running
         for job in running:
-            job.let_go()
+            job.close_input()
         until = time.monotonic() + JOB_END_S
         for job in running:
             job.wait(max(until - time.monotonic(), 0.0))

@@ -23,7 +23,7 @@ from typing import Any
 from ..core import protocol
 from ..errors import JGHandFailure
 from . import state as machine
-from .process import EngineProcess, LostError
+from .process import EngineProcess
 from .waiting import Answer, Arrays, Call, Waiting
 
 __all__ = ["Answer", "EngineLink", "Status"]
@@ -137,18 +137,19 @@ class EngineLink:
     def answer(self, slot: str) -> Answer | None:
         """The newest answer of the slot, whatever it asked for since; it stays until the next or until `drop`."""
         with self._news:
-            return self._waiting.answer(slot)
+            return self._waiting.slot(slot).answer
 
     def wait(self, slot: str, tag: Hashable, timeout_s: float) -> Answer | None:
         """Waits for the answer with this tag; None when it does not come in time or is not on its way."""
         deadline = time.monotonic() + timeout_s
         with self._news:
             while True:
-                answer = self._waiting.answer(slot)
+                place = self._waiting.slot(slot)
+                answer = place.answer
                 if answer is not None and answer.tag == tag:
                     return answer
                 left_s = deadline - time.monotonic()
-                if left_s <= 0 or not self._waiting.expects(slot, tag) or not self._works():
+                if left_s <= 0 or not place.expects(tag) or not self._works():
                     return None
                 self._news.wait(min(left_s, machine.POLL_S))
 
@@ -228,25 +229,26 @@ class EngineLink:
 
     def _handle(self, event: machine.Event) -> None:
         """Feeds an event to the machine; what it decides about answers is done at once, the rest by the thread."""
-        if self._closing and isinstance(event, machine.StartAsked | machine.RestartAsked):
-            self._release(JGHandFailure("stopped"))
-            return
-        before = self._state
-        self._state, effects = machine.transition(before, event)
-        if not isinstance(self._state, machine.Failed):
-            self._failure = None
-        elif self._state is not before:
-            self._failure = self._with_words(self._state.kind, self._state.detail)
-        for effect in effects:
-            if isinstance(effect, machine.Release):
-                self._release(self._failure or JGHandFailure(effect.kind, effect.detail))
-            else:
-                self._effects.append(effect)
-        if type(before) is not type(self._state) or _is_slow(before) != _is_slow(self._state):
-            if not isinstance(self._state, machine.Ready):
-                self._handshake = {}
-            self._news.notify_all()
-            self._wake()
+        with self._news:
+            if self._closing and isinstance(event, machine.StartAsked | machine.RestartAsked):
+                self._release(JGHandFailure("stopped"))
+                return
+            before = self._state
+            self._state, effects = machine.transition(before, event)
+            if not isinstance(self._state, machine.Failed):
+                self._failure = None
+            elif self._state is not before:
+                self._failure = self._with_words(self._state.kind, self._state.detail)
+            for effect in effects:
+                if isinstance(effect, machine.Release):
+                    self._release(self._failure or JGHandFailure(effect.kind, effect.detail))
+                else:
+                    self._effects.append(effect)
+            if type(before) is not type(self._state) or _is_slow(before) != _is_slow(self._state):
+                if not isinstance(self._state, machine.Ready):
+                    self._handshake = {}
+                self._news.notify_all()
+                self._wake()
 
     def _release(self, failure: JGHandFailure) -> None:
         self._waiting.release(failure)
@@ -264,15 +266,16 @@ class EngineLink:
 
     def _wake(self) -> None:
         """Makes the thread look now; starts it where there is something for it to do."""
-        if self._thread is None and self._effects:
-            woken, self._waker = socket.socketpair()
-            for end in (woken, self._waker):
-                end.setblocking(False)
-            self._thread = threading.Thread(target=self._work, args=(woken,), daemon=True, name="jghand link")
-            self._thread.start()
-        if self._waker is not None:
-            with contextlib.suppress(OSError):  # full: it is awake already; closed: it has ended
-                self._waker.send(b"\0")
+        with self._news:
+            if self._thread is None and self._effects:
+                woken, self._waker = socket.socketpair()
+                for end in (woken, self._waker):
+                    end.setblocking(False)
+                self._thread = threading.Thread(target=self._work, args=(woken,), daemon=True, name="jghand link")
+                self._thread.start()
+            if self._waker is not None:
+                with contextlib.suppress(OSError):  # full: it is awake already; closed: it has ended
+                    self._waker.send(b"\0")
 
     # ---- the thread --------------------------------------------------------------------------------------------------
 
@@ -321,7 +324,7 @@ class EngineLink:
                     self._start_engine(effect.run, spawn)
                 case machine.Kill():
                     self._end_engine()
-                    self._say(machine.Exited(time.monotonic(), self._run, "killed"))
+                    self._handle(machine.Exited(time.monotonic(), self._run, "killed"))
                 case machine.CloseStdin() if self._engine is not None:
                     self._engine.close_stdin()
 
@@ -335,9 +338,9 @@ class EngineLink:
         try:
             if isinstance(spawn, JGHandFailure):
                 raise spawn
-            self._engine = EngineProcess(spawn, log, self._wake_up)
+            self._engine = EngineProcess(spawn, log, self._wake)
         except JGHandFailure as failure:
-            self._say(machine.Exited(time.monotonic(), run, failure.kind, failure.detail))
+            self._handle(machine.Exited(time.monotonic(), run, failure.kind, failure.detail))
 
     def _end_engine(self) -> None:
         engine, self._engine = self._engine, None
@@ -354,12 +357,12 @@ class EngineLink:
             engine.send(())
             while (message := engine.receive()) is not None:
                 self._take(message, engine)
-        except LostError as lost:
-            self._say(machine.Broke(time.monotonic(), self._run, lost.kind, lost.detail))
+        except JGHandFailure as lost:
+            self._handle(machine.Broke(time.monotonic(), self._run, lost.kind, lost.detail))
         ended = engine.why_it_ended()
         if ended is not None:
             self._end_engine()
-            self._say(machine.Exited(time.monotonic(), self._run, ended.kind, ended.detail))
+            self._handle(machine.Exited(time.monotonic(), self._run, ended.kind, ended.detail))
 
     def _take(self, message: protocol.Message, engine: EngineProcess) -> None:
         now_s = time.monotonic()
@@ -399,7 +402,7 @@ class EngineLink:
             selector.register(woken, selectors.EVENT_READ)
             engine = self._engine
             if engine is not None and engine.socket is not None:
-                writes = selectors.EVENT_WRITE if engine.has_more_to_send else 0
+                writes = selectors.EVENT_WRITE if engine.outgoing else 0
                 selector.register(engine.socket, selectors.EVENT_READ | writes)
             ready = [key.fileobj for key, _ in selector.select(patience_s)]
         if woken in ready:
@@ -413,14 +416,6 @@ class EngineLink:
             if isinstance(self._state, machine.Ready) and self._waiting.is_overdue(now_s):
                 self._handle(machine.Broke(now_s, self._run, "hung", "a request does not end"))
             self._handle(machine.Tick(now_s))
-
-    def _wake_up(self) -> None:
-        with self._news:
-            self._wake()
-
-    def _say(self, event: machine.Event) -> None:
-        with self._news:
-            self._handle(event)
 
 
 def _is_slow(state: machine.State) -> bool:

@@ -55,7 +55,7 @@ class ShowLog(Reporting, bpy.types.Operator):
         if not self.key:
             _show_text(context, LOG_NAME, runtime.link().log or "The renderer has printed nothing yet")
             return
-        job = runtime.jobs().get(self.key)
+        job = runtime.jobs.get(self.key)
         if job is None:
             raise JGHandFailure("bad_input", "no such job was started")
         lines = [" ".join(job.spec.command), "", job.log]
@@ -126,9 +126,9 @@ class RemoveTools(Reporting, bpy.types.Operator):
 
 def _tools_are_free(operator: type) -> bool:
     """Whether the training tools may be changed: a training would lose its program, and hours of work."""
-    if runtime.jobs().runs(runtime.TOOLS):
+    if runtime.jobs.runs(runtime.TOOLS):
         return missing(operator, "The training tools are being installed")
-    if any(map(runtime.jobs().runs, (runtime.TRAINING, runtime.CAPTURE, runtime.IMPORT, runtime.OWN))):
+    if any(map(runtime.jobs.runs, (runtime.TRAINING, runtime.CAPTURE, runtime.IMPORT, runtime.OWN))):
         return missing(operator, "The training tools are in use: wait until the job has ended, or cancel it")
     return True
 
@@ -145,7 +145,7 @@ class CancelJob(Reporting, bpy.types.Operator):
     key: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})
 
     def run(self, _context: bpy.types.Context) -> None:
-        job = runtime.jobs().get(self.key)
+        job = runtime.jobs.get(self.key)
         if job is not None:
             job.cancel()
             runtime.watch_jobs()

@@ -19,7 +19,7 @@ _SILENT_S = 120.0
 
 def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, *, buttons: bool = True) -> None:
     """One line; when something is wrong, the sentence, what to do, and buttons that do it, unless they are there."""
-    status = panel_text.status_text(runtime.link().status, runtime.last_report(runtime.VIEWPORT))
+    status = panel_text.status_text(runtime.link().status, runtime.reports.get(runtime.VIEWPORT))
     if status.good:
         ui.explained(layout, panel_text.Line(status.text, tip=status.detail))
         return
@@ -32,15 +32,15 @@ def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, *, butto
     if status.since or status.detail:
         ui.explained(box, panel_text.Line(status.since or "Details", tip=status.detail), icon="INFO")
     row = box.row(align=True)
-    for button in status.buttons if buttons else ():
-        properties = row.operator(button.operator, text=button.label)
-        if button.operator == "preferences.addon_show":
+    for operator, label in status.buttons if buttons else ():
+        properties = row.operator(operator, text=label)
+        if operator == "preferences.addon_show":
             properties.module = JGHandPreferences.bl_idname
 
 
 def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, key: str) -> None:
     """A job's progress with its button while it runs; afterwards why it failed, until the next one."""
-    job = runtime.jobs().get(key)
+    job = runtime.jobs.get(key)
     if job is None:
         return
     state = job.state
@@ -82,7 +82,7 @@ def draw_tools(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What there is, and what can be done about it."""
     box = layout.box().column()
     draw_job(box, context, runtime.TOOLS)
-    if runtime.jobs().runs(runtime.TOOLS):
+    if runtime.jobs.runs(runtime.TOOLS):
         return
     now = runtime.tools_state()
     icon = "CHECKMARK" if now == "ready" else "ERROR" if now == "broken" else "INFO"

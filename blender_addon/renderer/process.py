@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from ..core import protocol
-from ..errors import JGHandFailure, kind_of_exit
+from ..errors import EXIT_KINDS, JGHandFailure
 from . import state as machine
 from .waiting import failure_told
 
@@ -41,16 +41,10 @@ _SYSTEMS = {"linux": "linux", "darwin": "macos", "win32": "windows"}
 _MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
 
 
-def engine_command(
-    python: str | None = None,
-    *,
-    checkout: Path | None = None,
-    environment: Mapping[str, str] = os.environ,
-    on_gpu: bool = False,
-) -> tuple[str, ...]:
-    """The command that starts the engine as a service; as `engine_program`. on_gpu: one that draws on the graphics
-    card, and refuses to start without one."""
-    words = (*engine_program(python, checkout=checkout, environment=environment), "serve")
+def engine_command(python: str | None = None, *, on_gpu: bool = False, **places: Any) -> tuple[str, ...]:
+    """The command that starts the engine as a service. on_gpu: one that draws on the graphics card, and refuses to
+    start without one; places: as of `engine_program`."""
+    words = (*engine_program(python, **places), "serve")
     return (*words, "--backend", "gpu") if on_gpu else words
 
 
@@ -202,16 +196,9 @@ class Child:
         ended()
 
 
-class LostError(Exception):
-    """The engine cannot be used any more. kind: a key of errors.ADVICE; detail: what happened."""
-
-    def __init__(self, kind: str, detail: str) -> None:
-        super().__init__(kind, detail)
-        self.kind, self.detail = kind, detail
-
-
 class EngineProcess(Child):
-    """An engine that was started; `connect` when it has said where it listens; then messages, which raise LostError.
+    """An engine that was started; `connect` when it has said where it listens; then messages. JGHandFailure: it cannot
+    be used any more.
 
     Only `kill` and the search for the reason of a break wait, and not for long."""
 
@@ -225,7 +212,8 @@ class EngineProcess(Child):
         self.socket: socket.socket | None = None
         self._greeted = self._welcome = False
         self._receiver: protocol.Receiver | None = None
-        self._outgoing: deque[memoryview] = deque()
+        # what the socket has not taken yet
+        self.outgoing: deque[memoryview] = deque()
         self._log, self._wake = log, wake
         super().__init__(command, self._hear, wake)
         assert self.popen.stdin is not None  # it was asked for as a pipe
@@ -235,11 +223,6 @@ class EngineProcess(Child):
 
     # ---- messages ----------------------------------------------------------------------------------------------------
 
-    @property
-    def has_more_to_send(self) -> bool:
-        """Whether the socket took less than there is."""
-        return bool(self._outgoing)
-
     def connect(self) -> None:
         """Connects to where the engine listens, once that is known, and says the token."""
         if self._greeted or not self.handshake:
@@ -247,7 +230,7 @@ class EngineProcess(Child):
         self._greeted = True
         theirs = self.handshake["protocol"]
         if theirs != protocol.PROTOCOL_VERSION:
-            raise LostError("protocol", f"extension {protocol.PROTOCOL_VERSION}, engine {theirs}")
+            raise JGHandFailure("protocol", f"extension {protocol.PROTOCOL_VERSION}, engine {theirs}")
         try:
             address = ("127.0.0.1", int(self.handshake.get("port", 0)))
             self.socket = socket.create_connection(address, timeout=_CONNECT_S)
@@ -260,18 +243,18 @@ class EngineProcess(Child):
 
     def send(self, pieces: Iterable[bytes | memoryview]) -> None:
         """Sends as much as the socket takes now, of what is left from before first."""
-        self._outgoing.extend(memoryview(piece).cast("B") for piece in pieces)
+        self.outgoing.extend(memoryview(piece).cast("B") for piece in pieces)
         try:
-            while self._outgoing and self.socket is not None:
-                sent = self.socket.send(self._outgoing[0])
-                if sent < self._outgoing[0].nbytes:
-                    self._outgoing[0] = self._outgoing[0][sent:]
+            while self.outgoing and self.socket is not None:
+                sent = self.socket.send(self.outgoing[0])
+                if sent < self.outgoing[0].nbytes:
+                    self.outgoing[0] = self.outgoing[0][sent:]
                 else:
-                    self._outgoing.popleft()
+                    self.outgoing.popleft()
         except (BlockingIOError, InterruptedError):
             return
         except OSError:  # the reading side says what is the matter
-            self._outgoing.clear()
+            self.outgoing.clear()
 
     def receive(self) -> protocol.Message | None:
         """The next message that has come whole, None when there is none. The first one is the engine's welcome."""
@@ -284,17 +267,16 @@ class EngineProcess(Child):
             raise self._broken("broken_stream" if self._welcome else "token", str(error)) from error
         except (protocol.ProtocolError, OSError) as error:
             self._disconnect()
-            raise LostError("broken_stream", str(error)) from error
+            raise JGHandFailure("broken_stream", str(error)) from error
         if message is not None and not self._welcome:
             if message.header.get("kind") != "welcome":
-                refusal = failure_told(message.header.get("error"))
-                raise LostError(refusal.kind, refusal.detail)
+                raise failure_told(message.header.get("error"))
             self._welcome = True
         return message
 
     # ---- the end -----------------------------------------------------------------------------------------------------
 
-    def why_it_ended(self) -> LostError | None:
+    def why_it_ended(self) -> JGHandFailure | None:
         """The reason of the end of the process; None while it runs."""
         code = self.popen.poll()
         if code is None:
@@ -302,8 +284,8 @@ class EngineProcess(Child):
         self.said_all(_LAST_WORDS_S)
         missing = [line for line in tuple(self._log) if "No module named" in line]
         if not self.handshake and missing:
-            return LostError("no_engine", missing[-1].strip())
-        return LostError(kind_of_exit(code), f"exit code {code}")
+            return JGHandFailure("no_engine", missing[-1].strip())
+        return JGHandFailure(EXIT_KINDS.get(code, "crashed"), f"exit code {code}")
 
     def kill(self) -> None:
         self._disconnect()
@@ -316,28 +298,28 @@ class EngineProcess(Child):
         if self.socket is not None:
             self.socket.close()
         self.socket = self._receiver = None
-        self._outgoing.clear()
+        self.outgoing.clear()
 
-    def _broken(self, kind: str, detail: str) -> LostError:
+    def _broken(self, kind: str, detail: str) -> JGHandFailure:
         """The connection broke; when that is because the process ends, a little later, that is the reason."""
         self._disconnect()
         ended = self.why_it_ended() if self.ends_within(machine.TERMINATE_S) else None
-        return ended or LostError(kind, detail)
+        return ended or JGHandFailure(kind, detail)
 
     def _hear(self, line: str, is_output: bool) -> None:
         """Finds the handshake in what it prints."""
-        found = _handshake(line) if not self.handshake and is_output else {}
-        if found:
+        found = told_in(line) if not self.handshake and is_output else {}
+        if "protocol" in found:
             self.handshake = found
             self._wake()
         elif line:
             self._log.append(line[: machine.LOG_LINE_MAX])
 
 
-def _handshake(line: str) -> dict[str, Any]:
-    """The handshake that a line is; empty for any other line."""
+def told_in(line: str) -> dict[str, Any]:
+    """The JSON object that a line is; empty for any other line."""
     try:
         content = json.loads(line)
     except (ValueError, RecursionError):
         return {}
-    return content if isinstance(content, dict) and "protocol" in content else {}
+    return content if isinstance(content, dict) else {}

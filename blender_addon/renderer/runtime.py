@@ -55,9 +55,11 @@ class RenderNote:
 render_canceled = threading.Event()
 _link: EngineLink | None = None
 _lock = threading.Lock()  # a render thread may want the link while the main thread makes it
-_reports: dict[str, Mapping[str, Any]] = {}
-_render_note: RenderNote | None = None
-_jobs = JobTable()
+# the receipts of the newest picture of each kind (VIEWPORT, RENDER): one of a reply's `reports`, as it came
+reports: dict[str, Mapping[str, Any]] = {}
+# how the newest rendered frame went, for batch runs: Blender itself says no more than that it failed; None before one
+render_note: RenderNote | None = None
+jobs = JobTable()
 
 
 # ---- the link --------------------------------------------------------------------------------------------------------
@@ -122,43 +124,12 @@ def _chosen_python() -> str | None:
     return chosen.engine_python or None if chosen is not None else None
 
 
-# ---- pictures --------------------------------------------------------------------------------------------------------
-
-
-def set_report(kind: str, report: Mapping[str, Any]) -> None:
-    """Keeps the receipt of the newest picture of a kind (VIEWPORT, RENDER): one of a reply's `reports`, as it came.
-
-    From any thread; the panel reads it when it is drawn.
-    """
-    _reports[kind] = report
-
-
-def last_report(kind: str) -> Mapping[str, Any] | None:
-    """The receipt of the newest picture of a kind; None before the first."""
-    return _reports.get(kind)
-
-
-def note_render(note: RenderNote | None) -> None:
-    """Keeps how a rendered frame went, for batch runs: Blender itself says no more than that it failed."""
-    global _render_note
-    _render_note = note
-
-
-def last_render() -> RenderNote | None:
-    """How the newest rendered frame went; None when none was since `note_render(None)`."""
-    return _render_note
-
-
 # ---- jobs ------------------------------------------------------------------------------------------------------------
-
-
-def jobs() -> JobTable:
-    return _jobs
 
 
 def start_job(key: str, spec: JobSpec) -> Job:
     """Starts a job, which the timer looks after. JGHandFailure (job_running) while the one of that key runs."""
-    job = _jobs.start(key, spec)
+    job = jobs.start(key, spec)
     watch_jobs()
     return job
 
@@ -177,9 +148,9 @@ def watch_jobs() -> None:
 @clock.guarded(JOB_LOOK_S)
 def _tick() -> float | None:
     """The timer; None when nothing runs any more."""
-    if _jobs.tick():
+    if jobs.tick():
         redraw(*PANELS)
-    return JOB_LOOK_S if _jobs.running else None
+    return JOB_LOOK_S if jobs.running else None
 
 
 # ---- the training tools ----------------------------------------------------------------------------------------------
@@ -231,5 +202,5 @@ def unregister() -> None:
 
 def _end() -> None:
     use_link(None)
-    _jobs.close()
-    _reports.clear()
+    jobs.close()
+    reports.clear()

@@ -194,21 +194,47 @@ Step = tuple[State, tuple[Effect, ...]]
 
 
 def transition(state: State, event: Event) -> Step:
-    """The next state and what is to be done. Every pair is defined; what does not matter changes nothing."""
+    """The next state and what is to be done. What does not matter in a state changes nothing."""
     if isinstance(event, OfRun) and event.run != state.run:
         return state, ()
-    match state:
-        case Stopped():
-            return _stopped(state, event)
-        case Starting():
-            return _starting(state, event)
-        case Ready():
-            return _ready(state, event)
-        case Stopping():
-            return _stopping(state, event)
-        case Failed():
-            return _failed(state, event)
-    raise TypeError(f"{state!r} is no state")
+    now_s = event.now_s
+    match state, event:
+        case (Stopped(), StartAsked()) | (Stopped() | Failed(), RestartAsked()):
+            return _start(state, now_s)
+        case Failed(), StartAsked() if may_start(state, event):
+            return _start(state, now_s, restarts=0 if event.by_user else state.restarts + 1)
+        case Failed(), StartAsked():
+            return state, (Release(state.kind, state.detail),)
+        case Failed(), StopAsked():
+            return Stopped(state.run, since_s=now_s), ()
+        case Starting() | Ready(), Exited():
+            return _fail(state, now_s, event.kind, event.detail)
+        case Starting() | Ready(), Broke():
+            return _fail(state, now_s, event.kind, event.detail, Kill())
+        case Starting() | Ready(), RestartAsked():
+            return Stopping(state.run, state.restarts, now_s, True, STOP_S), (CloseStdin(), Release("stopped"))
+        case Starting() | Ready() | Stopping(), StopAsked():
+            stopping = Stopping(state.run, state.restarts, now_s, False, event.patience_s)
+            return stopping, (CloseStdin(), Release("stopped"))
+        case Starting(), Greeted():
+            return Ready(state.run, state.restarts, now_s, looked_s=now_s), ()
+        case Starting(), Tick() if now_s - state.since_s > HANDSHAKE_S:
+            return _fail(state, now_s, "start_timeout", "", Kill())
+        case Ready(), Heard():
+            return replace(state, silent_s=0.0, looked_s=now_s), ()
+        case Ready(), Tick():
+            # a computer that slept, or a thread that got no turn, has not listened
+            silent_s = state.silent_s + min(max(now_s - state.looked_s, 0.0), 2 * LOOK_S)
+            if silent_s > SILENCE_S:
+                return _fail(state, now_s, "hung", "no sign of life", Kill())
+            return replace(state, silent_s=silent_s, looked_s=now_s), ()
+        case Stopping(), Exited():
+            return _start(state, now_s) if state.start_again else (Stopped(state.run, since_s=now_s), ())
+        case Stopping(), Tick() if now_s - state.since_s > state.patience_s:
+            return state, (Kill(),)
+        case Stopping(), RestartAsked():
+            return replace(state, start_again=True), ()
+    return state, ()
 
 
 def may_start(state: State, event: StartAsked) -> bool:
@@ -219,83 +245,9 @@ def may_start(state: State, event: StartAsked) -> bool:
     return waited and state.kind in PASSING and state.restarts < RESTARTS_MAX
 
 
-def _stopped(state: Stopped, event: Event) -> Step:
-    return _start(state, event) if isinstance(event, StartAsked | RestartAsked) else (state, ())
+def _start(state: State, now_s: float, *, restarts: int = 0) -> Step:
+    return Starting(state.run + 1, restarts, now_s), (Spawn(state.run + 1),)
 
 
-def _starting(state: Starting, event: Event) -> Step:
-    match event:
-        case Greeted():
-            now_s = event.now_s
-            return Ready(state.run, state.restarts, since_s=now_s, looked_s=now_s), ()
-        case Exited():
-            return _fail(state, event, event.kind, event.detail)
-        case Broke():
-            return _fail(state, event, event.kind, event.detail, Kill())
-        case Tick() if event.now_s - state.since_s > HANDSHAKE_S:
-            return _fail(state, event, "start_timeout", "", Kill())
-        case StopAsked() | RestartAsked():
-            return _stop(state, event)
-    return state, ()
-
-
-def _ready(state: Ready, event: Event) -> Step:
-    match event:
-        case Heard():
-            return replace(state, silent_s=0.0, looked_s=event.now_s), ()
-        case Tick():
-            # a computer that slept, or a thread that got no turn, has not listened
-            listened_s = min(max(event.now_s - state.looked_s, 0.0), 2 * LOOK_S)
-            silent_s = state.silent_s + listened_s
-            if silent_s > SILENCE_S:
-                return _fail(state, event, "hung", "no sign of life", Kill())
-            return replace(state, silent_s=silent_s, looked_s=event.now_s), ()
-        case Exited():
-            return _fail(state, event, event.kind, event.detail)
-        case Broke():
-            return _fail(state, event, event.kind, event.detail, Kill())
-        case StopAsked() | RestartAsked():
-            return _stop(state, event)
-    return state, ()
-
-
-def _stopping(state: Stopping, event: Event) -> Step:
-    match event:
-        case Exited() if state.start_again:
-            return _start(state, event)
-        case Exited():
-            return Stopped(state.run, since_s=event.now_s), ()
-        case Tick() if event.now_s - state.since_s > state.patience_s:
-            return state, (Kill(),)
-        case RestartAsked():
-            return replace(state, start_again=True), ()
-        case StopAsked():
-            return _stop(state, event)
-    return state, ()
-
-
-def _failed(state: Failed, event: Event) -> Step:
-    match event:
-        case StartAsked() if may_start(state, event):
-            return _start(state, event, restarts=0 if event.by_user else state.restarts + 1)
-        case StartAsked():
-            return state, (Release(state.kind, state.detail),)
-        case RestartAsked():
-            return _start(state, event)
-        case StopAsked():
-            return Stopped(state.run, since_s=event.now_s), ()
-    return state, ()
-
-
-def _start(state: State, event: Event, *, restarts: int = 0) -> Step:
-    return Starting(state.run + 1, restarts, event.now_s), (Spawn(state.run + 1),)
-
-
-def _stop(state: State, event: Event) -> Step:
-    patience_s = event.patience_s if isinstance(event, StopAsked) else STOP_S
-    again = isinstance(event, RestartAsked)
-    return Stopping(state.run, state.restarts, event.now_s, again, patience_s), (CloseStdin(), Release("stopped"))
-
-
-def _fail(state: State, event: Event, kind: str, detail: str, *first: Effect) -> Step:
-    return Failed(state.run, state.restarts, event.now_s, kind, detail), (*first, Release(kind, detail))
+def _fail(state: State, now_s: float, kind: str, detail: str, *first: Effect) -> Step:
+    return Failed(state.run, state.restarts, now_s, kind, detail), (*first, Release(kind, detail))

@@ -67,7 +67,7 @@ class Call:
 
 
 @dataclass
-class _Slot:
+class Slot:
     """A consumer of pictures: what it wants now, what of it the engine works on, and what it has."""
 
     waiting: Call | None = None
@@ -87,7 +87,7 @@ class Waiting:
         # numbers of requests that the engine is to be told to give up
         self.cancels: deque[int] = deque()
         self.exact: deque[Call] = deque()
-        self._slots: OrderedDict[str, _Slot] = OrderedDict()
+        self._slots: OrderedDict[str, Slot] = OrderedDict()
         self._refused: OrderedDict[Hashable, JGHandFailure] = OrderedDict()
         self._next_id = 1
 
@@ -104,7 +104,7 @@ class Waiting:
         droppable: bool = False,
     ) -> bool:
         """The slot wants this now, in place of what it waits for; True when the engine is needed for it."""
-        place = self._slots.setdefault(slot, _Slot())
+        place = self._slots.setdefault(slot, Slot())
         if place.flying is not None and place.flying.droppable and place.flying.tag != tag:
             self.give_up(place.flying, now_s)
             place.flying = None
@@ -148,15 +148,9 @@ class Waiting:
 
     # ---- looking -----------------------------------------------------------------------------------------------------
 
-    def answer(self, slot: str) -> Answer | None:
-        """The newest answer of a slot."""
-        place = self._slots.get(slot)
-        return place.answer if place is not None else None
-
-    def expects(self, slot: str, tag: Hashable) -> bool:
-        """Whether an answer with this tag is still to come."""
-        place = self._slots.get(slot)
-        return place is not None and place.expects(tag)
+    def slot(self, name: str) -> Slot:
+        """To look at: what it wants and has, nothing for one that never asked."""
+        return self._slots.get(name, Slot())
 
     def is_overdue(self, now_s: float) -> bool:
         """Whether the engine works for too long on something that it was told to give up, or on a picture."""

@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import bpy
 
 from .. import folders, ui
 from ..errors import JGHandFailure
-from ..export.ops_common import StartsJob, place, poll_job
+from ..export.ops_common import StartsJob, place
 from ..export.recording import Recording
 from ..hand import avatar_files
 from ..hand.motion_files import FETCH, VIDEO_SUFFIXES, option_words
@@ -48,7 +47,7 @@ class RenderTrainingSet(StartsJob, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         if context.scene.jghand.training.use_motion and not ui.active(context):
             return missing(cls, "Select the hand whose poses are taken")
-        return poll_job(cls, runtime.CAPTURE)
+        return super().poll(context)
 
     def recorded_hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
         hand = ui.active(context)
@@ -61,13 +60,13 @@ class RenderTrainingSet(StartsJob, bpy.types.Operator):
     def job(self, context: bpy.types.Context, recordings: list[Recording]) -> JobSpec:
         settings = context.scene.jghand.training
         self._folder = place(context, settings.capture_folder)
-        motion, over = None, None
+        motion, scratch = None, ()
         if recordings:
-            scratch = folders.job_folder()
-            motion, over = scratch / "capture.npz", partial(folders.remove_job_folder, scratch)
+            scratch = (folders.job_folder(),)
+            motion = scratch[0] / "capture.npz"
             recordings[0].save(motion)
         command = (*runtime.program(learns=True), *capture_words(self._folder, settings, motion))
-        return JobSpec("Rendering the training set", command, on_over=over)
+        return JobSpec("Rendering the training set", command, scratch=scratch)
 
     def done(self, _context: bpy.types.Context) -> str:
         return f"The training set is in {self._folder}."
@@ -88,10 +87,6 @@ class Train(StartsJob, bpy.types.Operator):
     watched = False
 
     @classmethod
-    def poll(cls, _context: bpy.types.Context) -> bool:
-        return poll_job(cls, runtime.TRAINING)
-
-    @classmethod
     def description(cls, _context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
         """The tooltip says what becomes of an earlier training."""
         if properties.start == "resume":
@@ -110,9 +105,6 @@ class Train(StartsJob, bpy.types.Operator):
         if self.start == "new" and out.is_file():
             return f"{out} is replaced."
         return ""
-
-    def recorded_hands(self, _context: bpy.types.Context) -> list[bpy.types.Object]:
-        return []
 
     def prepare(self, context: bpy.types.Context) -> None:
         settings = context.scene.jghand.training
@@ -153,17 +145,10 @@ class HandFromFilm(FromFile, StartsJob, bpy.types.Operator):
     key = runtime.OWN
     watched = False
 
-    @classmethod
-    def poll(cls, _context: bpy.types.Context) -> bool:
-        return poll_job(cls, runtime.OWN)
-
     def overwritten(self, _context: bpy.types.Context) -> str:
         """The hand of an earlier film of that name."""
         out = self._out()
         return f"{out} is replaced." if out.is_file() else ""
-
-    def recorded_hands(self, _context: bpy.types.Context) -> list[bpy.types.Object]:
-        return []
 
     def prepare(self, _context: bpy.types.Context) -> None:
         runtime.program(learns=True)
@@ -188,7 +173,7 @@ class HandFromFilm(FromFile, StartsJob, bpy.types.Operator):
             work,
             more=((*program, *picture_words(out, scratch)),),
             on_done=take,
-            on_over=partial(folders.remove_job_folder, scratch),
+            scratch=(scratch,),
         )
 
     def done(self, _context: bpy.types.Context) -> str:

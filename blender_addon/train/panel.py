@@ -12,7 +12,7 @@ import bpy.utils.previews
 from .. import ui
 from ..errors import JGHandFailure
 from ..export import ops_common
-from ..hand import avatar_files, family
+from ..hand import avatar_files, properties
 from ..hand.panel import HandPanel
 from ..preferences import preferences
 from ..renderer import runtime
@@ -70,8 +70,8 @@ class TrainingSetPanel(Sidebar, bpy.types.Panel):
 
 def _look_at_training(context: bpy.types.Context, avatar_file: str) -> TrainingFolder | None:
     """What lies in the folder of the training that runs, or of the one beside the avatar's file."""
-    job = runtime.jobs().get(runtime.TRAINING)
-    if job is not None and runtime.jobs().runs(runtime.TRAINING):
+    job = runtime.jobs.get(runtime.TRAINING)
+    if job is not None and runtime.jobs.runs(runtime.TRAINING):
         path = job.spec.folder
     else:
         try:
@@ -83,7 +83,7 @@ def _look_at_training(context: bpy.types.Context, avatar_file: str) -> TrainingF
 
 def _draw_buttons(layout: bpy.types.UILayout, seen: TrainingFolder | None) -> None:
     row = layout.row(align=True)
-    if runtime.jobs().runs(runtime.TRAINING):
+    if runtime.jobs.runs(runtime.TRAINING):
         row.operator("jghand.cancel_job", text="Pause", icon="PAUSE").key = runtime.TRAINING
     elif seen is not None and seen.can_go_on:
         row.operator("jghand.train", text="Resume", icon="PLAY").start = "resume"
@@ -97,13 +97,13 @@ _PICTURE_UNITS = 9.0
 
 
 def _draw_course(layout: bpy.types.UILayout, context: bpy.types.Context, seen: TrainingFolder) -> None:
-    job = runtime.jobs().get(runtime.TRAINING)
+    job = runtime.jobs.get(runtime.TRAINING)
     if job is not None and not job.is_over:
         ui.paragraph(layout, context, job.state.text)  # whole: the bar of its progress has no room for loss and dB
     elif seen.can_go_on:
         layout.label(text=seen.sentence())
     if seen.picture is not None:
-        layout.template_icon(icon_value=family.icon_of(seen.picture), scale=_PICTURE_UNITS)
+        layout.template_icon(icon_value=properties.icon_of(seen.picture), scale=_PICTURE_UNITS)
     if seen.avatar is not None:
         layout.operator("jghand.load_avatar", text="Use Preview", icon="HIDE_OFF").filepath = str(seen.avatar)
 
@@ -125,7 +125,7 @@ class FilmPanel(Sidebar, bpy.types.Panel):
     bl_options = ui.CLOSED
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, job = self.layout, runtime.jobs().get(runtime.OWN)
+        layout, job = self.layout, runtime.jobs.get(runtime.OWN)
         if job is None or job.is_over:
             for number, line in enumerate(_FILMING, 1):
                 ui.paragraph(layout, context, f"{number}. {line}.")
@@ -161,9 +161,9 @@ def _draw_own(layout: bpy.types.UILayout, context: bpy.types.Context, work: Path
     for sentence in ui.kept(context, _look_at_findings, str(work / TOLD)) or ():
         ui.paragraph(layout, context, sentence, icon="INFO")
     if proof.is_file():
-        layout.template_icon(icon_value=family.icon_of(proof), scale=_PICTURE_UNITS)
+        layout.template_icon(icon_value=properties.icon_of(proof), scale=_PICTURE_UNITS)
         layout.operator("wm.path_open", text="Film and Hand Side by Side", icon="IMAGE_DATA").filepath = str(proof)
-    if any(item[0] == avatar.stem for item in family.items()):
+    if any(item[0] == avatar.stem for item in properties.hand_items()):
         row = layout.row()
         row.operator_menu_enum("jghand.add_hand", "handedness", text="Add My Hand", icon="ADD").avatar = avatar.stem
         row.operator("jghand.load_avatar", text="On Selected Hands").filepath = str(avatar)

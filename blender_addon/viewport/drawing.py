@@ -9,7 +9,6 @@ engine's numbers. Each pixel is tested against the scene at its own depth. Sourc
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import bpy
 import gpu
@@ -83,14 +82,8 @@ void main()
 _CORNERS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
 
 
-@dataclass
-class _Tools:
-    """shader: for pictures; quad: its four corners."""
-
-    shader: gpu.types.GPUShader
-    quad: gpu.types.GPUBatch
-
-
+# the shader of pictures and its four corners
+_Tools = tuple[gpu.types.GPUShader, gpu.types.GPUBatch]
 _tools: _Tools | None = None
 # textures that no view needs any more: freed when Blender draws the next time, which has the right context for it
 _unwanted: list[GpuPicture | _Tools] = []
@@ -119,7 +112,7 @@ class GpuPicture:
     ) -> None:
         """Fills a part of a view of that many pixels. clip: as `ViewCamera.clip_of_depth` gives it; behind_scene:
         whether things of the scene that are nearer hide it."""
-        tools = _made_tools()
+        shader, quad = _made_tools()
         width, height = region
         left, right = 2 * part.left / width - 1, 2 * part.right / width - 1
         bottom, top = 1 - 2 * part.bottom / height, 1 - 2 * part.top / height
@@ -127,15 +120,15 @@ class GpuPicture:
         gpu.state.depth_test_set("LESS_EQUAL" if behind_scene else "NONE")
         gpu.state.depth_mask_set(False)
         try:
-            tools.shader.bind()
-            tools.shader.uniform_float("place", (left, bottom, right, top))
-            tools.shader.uniform_float("clip_from_depth", clip)
+            shader.bind()
+            shader.uniform_float("place", (left, bottom, right, top))
+            shader.uniform_float("clip_from_depth", clip)
             same_size = (part.width, part.height) == (self.width, self.height)
-            tools.shader.uniform_int("smooth_it", 0 if same_size else 1)
-            tools.shader.uniform_int("linear_it", int(self._linear))
-            tools.shader.uniform_sampler("picture", self._color)
-            tools.shader.uniform_sampler("depth_m", self._depth)
-            tools.quad.draw(tools.shader)
+            shader.uniform_int("smooth_it", 0 if same_size else 1)
+            shader.uniform_int("linear_it", int(self._linear))
+            shader.uniform_sampler("picture", self._color)
+            shader.uniform_sampler("depth_m", self._depth)
+            quad.draw(shader)
         finally:
             gpu.state.depth_test_set("NONE")
             gpu.state.blend_set("NONE")
@@ -198,7 +191,7 @@ def _made_tools() -> _Tools:
         info.vertex_source(_VERTEX)
         info.fragment_source(_FRAGMENT)
         shader = gpu.shader.create_from_info(info)
-        _tools = _Tools(shader, batch_for_shader(shader, "TRI_STRIP", {"pos": _CORNERS}))
+        _tools = shader, batch_for_shader(shader, "TRI_STRIP", {"pos": _CORNERS})
     return _tools
 
 

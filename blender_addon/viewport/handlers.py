@@ -38,10 +38,11 @@ _panels_drawn_s = 0.0
 
 def tick() -> float:
     """Looks once; returns after how many seconds to look again."""
-    views.end_turn()
+    views.turn.end()
     exact_light.tend()
     if rendering.check():
-        _drop_stale()
+        if rendering.lasts_s() > pacing.STALE_S:  # what they show is of long ago
+            _redraw({view.region for view in views.all_views() if view.drawn})
         return clock.IDLE_TICK_S
     ui.show_what_waits()
     _follow_status()
@@ -78,11 +79,6 @@ def _look_after(shown: list[views.View]) -> float:
             views.look(view, moment, drawing=False)
         soonest_s = min(soonest_s, views.next_look_s(view))
     return soonest_s
-
-
-def _drop_stale() -> None:
-    """Draws views anew that show a picture of long ago while a render has the engine."""
-    _redraw({view.region for view in views.all_views() if view.drawn and rendering.lasts_s() > pacing.STALE_S})
 
 
 def _redraw(wanted: set[int]) -> None:

@@ -87,7 +87,8 @@ class View:
 _views: dict[tuple[int, str], View] = {}
 # when Blender came to the present frame, on the clock of time.monotonic()
 _step_s = 0.0
-_turn = pacing.Turn()
+# ends when Blender's event loop comes round
+turn = pacing.Turn()
 
 
 def now_s() -> float:
@@ -99,11 +100,6 @@ def begin_step() -> None:
     """Blender came to another frame: what views wait for is counted from here."""
     global _step_s
     _step_s = now_s()
-
-
-def end_turn() -> None:
-    """Blender's event loop came round: what views waited for so far does not count any more."""
-    _turn.end()
 
 
 def draws(space: bpy.types.SpaceView3D, scene: bpy.types.Scene, kind: str) -> bool:
@@ -171,7 +167,9 @@ def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) 
         return
     if view is None:
         view = _views[region.as_pointer(), kind] = View(region.as_pointer(), kind)
-    view.settings, view.has_depth = settings_of(context.scene), _has_depth(context.space_data)
+    view.settings, space = settings_of(context.scene), context.space_data
+    # EEVEE leaves none where no overlay wants it
+    view.has_depth = space.shading.type == "SOLID" or space.overlay.show_overlays
     view.camera = view_camera(region, context.region_data, context.scene.unit_settings.scale_length)
     view.hands, view.unreadable = seen_hands.read(things, depsgraph, switched_on_only=kind == SOLID)
     view.part = part_with(view.camera.whole, view.hands)
@@ -181,7 +179,7 @@ def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) 
     light = scene_light.in_view(depsgraph, context.space_data, things)
     view.light = scene_light.shaded_in_view(light, view.hands, depsgraph, view.slot)
     moment = moment_of(context.scene)
-    _turn.draws(view.slot)
+    turn.draws(view.slot)
     look(view, moment, drawing=True)
     view.drawn = pacing.may_show(view.pace, moment)
     if view.drawn:
@@ -204,11 +202,6 @@ def show_again(context: bpy.types.Context, kind: str) -> None:
     if view.drawn:
         with _by_the_driver():
             _draw(view)
-
-
-def _has_depth(space: bpy.types.SpaceView3D) -> bool:
-    """Whether the depth of the scene is there to be tested against: EEVEE leaves none where no overlay wants it."""
-    return space.shading.type == "SOLID" or space.overlay.show_overlays
 
 
 @contextlib.contextmanager
@@ -277,7 +270,7 @@ def look(view: View, moment: DrawMoment, *, drawing: bool) -> None:
         return
     if decision.wait_for is not None:
         until_s = moment.now_s + decision.wait_s
-        left_s = _turn.left_s(until_s, now_s())  # asking took its time, too, and so did other views
+        left_s = turn.left_s(until_s, now_s())  # asking took its time, too, and so did other views
         answer = runtime.link().wait(view.slot, decision.wait_for, left_s)
         if answer is None and now_s() >= until_s:
             view.pace = pacing.gave_up_waiting(view.pace)
@@ -314,7 +307,7 @@ def take(view: View, moment: DrawMoment) -> bool:
         view.place = view.places.get(tag)
         names = view.place.hands if view.place is not None else ()
         for report in answer.message.header.get("reports", [])[:1]:
-            runtime.set_report(runtime.VIEWPORT, {**report, HANDS: names})
+            runtime.reports[runtime.VIEWPORT] = {**report, HANDS: names}
     return accepted or view.failure is not before
 
 
@@ -323,12 +316,7 @@ def _want(view: View) -> Want:
     assert view.part is not None
     parts: list[bytes | str] = [repr(view.settings), "" if view.light is None else view.light.key]
     for hand in view.hands:
-        parts += [
-            hand.avatar,
-            avatar_files.stamp(hand.avatar),
-            f"{hand.handedness} {hand.forearm}",
-            hand.pose_bytes,
-        ]
+        parts += [hand.avatar, avatar_files.stamp(hand.avatar), f"{hand.handedness} {hand.forearm}", hand.pose_bytes]
     return Want(pacing.digest(parts), pacing.digest(view.camera.parts), view.part.pixels)
 
 

@@ -16,7 +16,7 @@ from blender_addon.renderer import jobs
 from blender_addon.renderer import jobs as renderer_jobs
 from blender_addon.renderer import state as renderer_state
 from blender_addon.renderer.jobs import Job, JobSpec, JobState, JobTable, Phase
-from blender_addon.renderer.process import Child
+from blender_addon.renderer.process import Child, told_in
 
 STAND_IN = Path(__file__).with_name("stand_in_job.py")
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,7 +45,7 @@ def until_it_counts(job: Job) -> None:
 
 def test_a_line_of_progress_becomes_a_sentence_with_the_remaining_time():
     line = '{"jghand": "progress", "text": "Baking", "done": 34, "total": 240, "eta_s": 12}'
-    content = jobs.parse_line(line)
+    content = told_in(line)
     assert content is not None
     state = JobState().after(content)
     assert state.sentence() == "Baking 34 of 240 · 12 s left"
@@ -59,7 +59,7 @@ def test_the_sentence_of_a_training_is_not_counted_twice():
 
 @pytest.mark.parametrize("line", ["", "text", "{", "[]", "{}", '{"jghand": 1}', "{" * 5000, "{" + "[" * 200000])
 def test_any_other_line_is_no_news(line):
-    assert jobs.parse_line(line) is None
+    assert not isinstance(told_in(line).get("jghand"), str)
 
 
 @pytest.mark.parametrize(
@@ -137,11 +137,12 @@ def test_a_look_at_a_job_never_waits_for_those_who_hold_its_pipes(tmp_path, monk
 
 @posix
 @pytest.mark.parametrize("fault", ["short", "die"])
-def test_what_only_the_job_needed_is_taken_away_once_when_it_is_over(tmp_path, fault):
-    over = []
-    job = Job(spec(fault, on_over=lambda: over.append(job.is_over)))
+def test_what_only_the_job_needed_is_taken_away_when_it_is_over(tmp_path, fault):
+    (tmp_path / "scratch").mkdir()
+    job = Job(spec(fault, scratch=(tmp_path / "scratch",)))
+    assert (tmp_path / "scratch").is_dir()
     ended(job)
-    assert over == [True]
+    assert not list(tmp_path.iterdir())
 
 
 @posix

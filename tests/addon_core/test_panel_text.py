@@ -37,7 +37,7 @@ RECEIPT = {
 def test_every_state_has_a_line_and_the_buttons_that_fit(status, text, good, buttons):
     said = panel_text.status_text(status, RECEIPT)
     assert (said.text, said.good) == (text, good)
-    assert [button.operator for button in said.buttons] == buttons
+    assert [operator for operator, _ in said.buttons] == buttons
 
 
 @pytest.mark.parametrize("kind", ADVICE)
@@ -71,24 +71,23 @@ def test_a_ready_engine_says_since_when_in_the_small_print():
 
 
 def test_a_receipt_becomes_bars_of_the_stages_that_ran():
-    said = panel_text.receipt_text(RECEIPT)
-    assert (said.total.text, said.total.value, said.total.good) == ("Last Frame", "7.2 ms", True)
-    assert said.total.tip == "51,000 of 60,000 splats, drawn by avx2 on 2 threads"
-    skin, raster = said.stages
+    total, skin, raster = panel_text.receipt_lines(RECEIPT)
+    assert (total.text, total.value, total.part, total.good) == ("Last Frame", "7.2 ms", 1.0, True)
+    assert total.tip == "51,000 of 60,000 splats, drawn by avx2 on 2 threads"
     assert (skin.text, skin.value, skin.part, skin.tip) == ("Skin", "1.8 ms", 0.25, "correctives exact")
     assert (raster.text, raster.part, raster.tip) == ("Drawing", 0.5, "")
 
 
 def test_a_picture_over_its_budget_is_told():
-    assert panel_text.receipt_text(RECEIPT, budget_ms=8.0).total.good
-    over = panel_text.receipt_text(RECEIPT, budget_ms=5.0).total
+    assert panel_text.receipt_lines(RECEIPT, budget_ms=8.0)[0].good
+    over = panel_text.receipt_lines(RECEIPT, budget_ms=5.0)[0]
     assert (over.text, over.good) == ("Over Budget", False)
     assert "budget is 5.0 ms" in over.tip
 
 
 def test_a_joint_out_of_its_trained_range_is_named_before_everything_else():
     notes = ["The palm is nearly a line.", "index1 flexion 105°: 12° outside the 0° to 93° that was trained"]
-    first, second = panel_text.receipt_text({**RECEIPT, "notes": notes}).warnings
+    first, second = panel_text.warnings({**RECEIPT, "notes": notes})
     assert first.text == "index1: flexion 12° outside trained range"
     assert first.tip.startswith(notes[1])
     assert not first.tip.endswith(".")
@@ -98,7 +97,7 @@ def test_a_joint_out_of_its_trained_range_is_named_before_everything_else():
 def test_a_warning_names_its_hand_where_there_are_several():
     notes = ["hand 2: index1 flexion 105°: 12° outside the 0° to 93° that was trained", "hand 1: a bone has no length"]
     report = {**RECEIPT, "notes": notes, panel_text.HANDS: ("Left Hand", "Right Hand")}
-    first, second = panel_text.receipt_text(report).warnings
+    first, second = panel_text.warnings(report)
     assert first.text == "Right Hand: index1: flexion 12° outside trained range"
     assert second.text == "Left Hand: a bone has no length"
 
@@ -120,7 +119,7 @@ def test_many_warnings_are_a_few_lines_and_one_for_the_others():
 
 
 def test_damaged_splats_are_told():
-    (said,) = panel_text.receipt_text({**RECEIPT, "invalid_gaussians": 3}).warnings
+    (said,) = panel_text.warnings({**RECEIPT, "invalid_gaussians": 3})
     assert said.text.startswith("3 splats")
 
 

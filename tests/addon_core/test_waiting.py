@@ -50,7 +50,7 @@ def test_what_is_wanted_again_while_the_engine_is_at_it_is_not_followed_by_what_
     waiting.ask("a", HEADER, None, 2, 0.0)
     assert not waiting.ask("a", HEADER, None, 1, 0.0)
     waiting.take(reply(call), 0.0)
-    assert waiting.answer("a").tag == 1
+    assert waiting.slot("a").answer.tag == 1
     assert waiting.next(0.0) is None
 
 
@@ -65,7 +65,7 @@ def test_a_slow_picture_gives_way_to_the_next_pose_and_is_not_heard_of_again():
     waiting.ask("a", HEADER, None, "next pose", 1.0)
     assert (list(waiting.cancels), waiting.next(1.0)) == ([sharp.id], None)
     waiting.take(reply(sharp, ok=False, error={"kind": "canceled"}), 1.0)
-    assert waiting.answer("a") is None
+    assert waiting.slot("a").answer is None
     assert {waiting.next(1.0).tag} <= {"another view", "next pose"}
 
 
@@ -76,7 +76,7 @@ def test_a_slow_picture_gives_way_to_a_render_and_its_view_hears_of_it():
     render = waiting.append(HEADER, None, 1.0)
     assert list(waiting.cancels) == [sharp.id]
     waiting.take(reply(sharp, ok=False, error={"kind": "canceled"}), 1.0)
-    assert waiting.answer("a").failure.kind == "canceled"
+    assert waiting.slot("a").answer.failure.kind == "canceled"
     assert waiting.next(1.0) is render
     assert waiting.ask("a", HEADER, None, "sharp", 1.0, droppable=True)
 

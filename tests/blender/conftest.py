@@ -81,3 +81,21 @@ def engine_python() -> str:
     if os.environ.get("JGHAND_REQUIRE_ENGINE", "0") not in ("", "0"):
         pytest.fail(sentence)
     pytest.skip(sentence)
+
+
+@pytest.fixture
+def engine(engine_python, monkeypatch) -> str:
+    """The real engine for jobs."""
+    monkeypatch.setenv("JGHAND_ENGINE_PYTHON", engine_python)
+    return engine_python
+
+
+@pytest.fixture(scope="module")
+def real_engine(engine_python, linked_extension):
+    """A link to the real engine, which is not the extension's."""
+    from blender_addon.renderer.link import EngineLink
+    from blender_addon.renderer.process import engine_command
+
+    link = EngineLink(lambda: engine_command(engine_python))
+    yield link
+    link.close()

@@ -11,7 +11,7 @@ from hands import pixels
 from tiny_captures import HEIGHT, WIDTH, make
 
 from blender_addon.capture import lit
-from blender_addon.capture.png import STAMP_KEY
+from blender_addon.capture.scene import STAMP_KEY
 
 # the command with maps of few texels
 PROGRAM = (
@@ -162,7 +162,7 @@ def test_the_world_is_turned_as_its_record_says(context, tmp_path):
     radiance = np.zeros((64, 128, 3), np.float32)
     radiance[:, 32:96] = 1
     np.save(tmp_path / "half.npy", radiance)
-    environment, turn = lit._world(context.scene, "world")
+    _, environment, turn = lit.new_world(context.scene)
     environment.image = scene._world_image("half.npy")
     matrix = np.array(mathutils.Euler((0.3, -0.7, 1.9)).to_matrix())
     turn.inputs["Rotation"].default_value = mathutils.Matrix(matrix).to_euler("XYZ")

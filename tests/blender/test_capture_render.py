@@ -8,7 +8,7 @@ import pytest
 from hands import pixels
 from tiny_captures import HEIGHT, WIDTH, make
 
-from blender_addon.capture.png import SIGNATURE, STAMP_KEY
+from blender_addon.capture.scene import SIGNATURE, STAMP_KEY
 
 CAMERAS = 3
 # the command with a person's skin of few texels

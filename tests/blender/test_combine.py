@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from blender_addon import versions
-from blender_addon.core import film, posing
-from blender_addon.core.view import Moment, picture_request
+from blender_addon.core import posing
+from blender_addon.core.view import Moment, over, picture_request, scene_linear
 from blender_addon.hand import armature
 from blender_addon.render import camera, composite, lamps
 from blender_addon.renderer import runtime
@@ -109,7 +109,7 @@ def test_soft_edges_are_mixed_with_what_is_behind_them(scene, engine_python):
         runtime._link.close()
         runtime._link = before
     rgba, depth = (np.asarray(reply.arrays[name].view()) for name in ("rgba_f32", "depth"))
-    linear = film.over(film.scene_linear(rgba), (0.2, 0.2, 0.2))[..., :3]
+    linear = over(scene_linear(rgba), (0.2, 0.2, 0.2))[..., :3]
     wanted = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055)
     seen = depth > 0  # what covers a pixel less than that has no depth to be combined by
     soft = seen & (rgba[..., 3] > 0.1) & (rgba[..., 3] < 0.9)
@@ -141,13 +141,13 @@ def test_a_picture_whose_hand_failed_is_magenta_and_says_why(scene, capfd):
     hand = bpy.data.objects["right"]
     hand.scale.x = 0
     assert is_magenta(f12())
-    assert runtime.last_render().failure.kind == "zero_scale"
+    assert runtime.render_note.failure.kind == "zero_scale"
     told = capfd.readouterr()
     assert "JGHand: The hands of frame 1 failed and are magenta: A scale of zero is not supported" in told.err
     assert "ERROR A scale of zero is not supported" in told.out
     hand.scale.x = 1
     assert covered(f12()) > 20
-    assert runtime.last_render().failure is None
+    assert runtime.render_note.failure is None
 
 
 def fails_from(hand: bpy.types.Object, frame: int) -> None:
@@ -172,7 +172,7 @@ def test_an_animation_goes_on_with_magenta_frames_and_says_so_once(scene, tmp_pa
         True,
     ]
     assert capfd.readouterr().err.count("failed and are magenta") == 1
-    assert runtime.last_render().failure.kind == "zero_scale"
+    assert runtime.render_note.failure.kind == "zero_scale"
 
 
 def test_a_second_time_brings_it_up_to_date_and_makes_nothing_twice(scene):

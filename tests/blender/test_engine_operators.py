@@ -73,7 +73,7 @@ def test_another_file_does_not_end_the_engine(stand_in):
 
 
 def test_the_tools_of_a_training_that_runs_are_not_taken_from_it(extension, monkeypatch):
-    monkeypatch.setattr(runtime.jobs(), "runs", lambda key: key == runtime.TRAINING)
+    monkeypatch.setattr(runtime.jobs, "runs", lambda key: key == runtime.TRAINING)
     assert "in use" in refuses(bpy.ops.jghand.remove_tools)
     assert "in use" in refuses(bpy.ops.jghand.install_tools)
 
@@ -131,7 +131,7 @@ def test_the_training_tools_are_made_mended_and_removed(extension, tmp_path, mon
     monkeypatch.setattr(runtime, "is_online", lambda: True)
     for _ in range(2):
         assert bpy.ops.jghand.install_tools() == {"FINISHED"}
-        job = runtime.jobs().get(runtime.TOOLS)
+        job = runtime.jobs.get(runtime.TOOLS)
         assert job.wait(120)
         assert job.state.failure is None, job.log
         assert runtime.tools_state() == "ready"

@@ -11,7 +11,7 @@ from test_avatar_cards import write_avatar
 
 from blender_addon import folders
 from blender_addon.core import posing
-from blender_addon.hand import armature, family, panel, seen_hands
+from blender_addon.hand import armature, panel, properties, seen_hands
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -33,7 +33,7 @@ def installed(extension, tmp_path):
 
 
 def test_a_broken_hand_of_a_pack_is_told_and_the_rest_is_offered(installed, capfd):
-    names = [name for name, *_ in family.items()]
+    names = [name for name, *_ in properties.hand_items()]
     assert names[0] == "builtin"
     assert "child" in names
     assert "elder" not in names
@@ -63,8 +63,8 @@ def test_add_hand_stands_below_pictures_where_there_is_more_than_one_hand(instal
         assert ("template_icon_view" in [one.function for one in seen.drawn]) == (count > 1)
         (added,) = [one for one in seen.drawn if one.arguments.get("operator") == "jghand.add_hand"]
         assert added.settings == {"avatar": bpy.context.window_manager.jghand.hand}
-        only = family.items()[:1]
-        monkeypatch.setattr(family, "items", lambda only=only: only)
+        only = properties.hand_items()[:1]
+        monkeypatch.setattr(properties, "hand_items", lambda only=only: only)
 
 
 def test_a_hand_whose_pack_is_not_installed_says_which_file_is_missing(extension):

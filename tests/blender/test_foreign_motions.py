@@ -14,7 +14,6 @@ from mathutils import Quaternion, Vector
 from blender_addon.core.joints import NAMES, TIPS
 from blender_addon.hand import armature
 from blender_addon.hand.motion_files import read_motion
-from blender_addon.renderer.process import VARIABLE
 
 TESTS = Path(__file__).resolve().parents[1]
 FRAMES = 12
@@ -31,13 +30,6 @@ samples.write_bvh(folder / "sample.bvh", samples.rig(motion, scale=100))
 np.save(folder / "joints.npy", samples.standard(motion))
 (folder / "sample.json").write_text(json.dumps(samples.mediapipe_tasks(samples.standard(motion))))
 """
-
-
-@pytest.fixture
-def engine(engine_python, monkeypatch):
-    """The real engine."""
-    monkeypatch.setenv(VARIABLE, engine_python)
-    return engine_python
 
 
 @pytest.fixture

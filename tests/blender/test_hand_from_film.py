@@ -14,7 +14,7 @@ from waiting import wait_for_count
 
 from blender_addon import folders
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand import family
+from blender_addon.hand import properties
 from blender_addon.renderer import runtime
 from blender_addon.renderer.jobs import Job, JobTable, Phase
 from blender_addon.train import ops
@@ -55,10 +55,10 @@ def engine(extension, tmp_path, monkeypatch):
     monkeypatch.setattr(runtime, "program", lambda **_: (sys.executable, str(folder / "engine.py")))
     monkeypatch.setattr(runtime, "timers_fire", lambda: True)
     monkeypatch.setattr(runtime, "watch_jobs", lambda: None)
-    monkeypatch.setattr(runtime, "_jobs", JobTable())
+    monkeypatch.setattr(runtime, "jobs", JobTable())
     monkeypatch.setattr(folders, "user_folder", lambda name, make=True: made(tmp_path / name))
     yield folder
-    for job in runtime.jobs().running:
+    for job in runtime.jobs.running:
         job.kill()
 
 
@@ -77,7 +77,7 @@ def film(tmp_path) -> Path:
 
 def started(film: Path, **chosen: object) -> Job:
     assert bpy.ops.jghand.hand_from_film(filepath=str(film), **chosen) == {"FINISHED"}
-    job = runtime.jobs().get(runtime.OWN)
+    job = runtime.jobs.get(runtime.OWN)
     assert job is not None
     return job
 
@@ -112,7 +112,7 @@ def test_the_hand_of_a_film_is_made_while_blender_is_free_and_can_be_added_then(
     assert str(avatar.with_suffix(".own") / "sheet.png") in files, "the proof"
     assert str(avatar) in files, "on hands that are there"
     assert [one.settings for one in shown.drawn if one.function == "operator_menu_enum"] == [{"avatar": "my_img_01"}]
-    assert "my_img_01" in [item[0] for item in family.items()]
+    assert "my_img_01" in [item[0] for item in properties.hand_items()]
     assert bpy.ops.jghand.add_hand(handedness="left", avatar="my_img_01") == {"FINISHED"}
     assert bpy.context.object.jghand.avatar == "my_img_01"
 

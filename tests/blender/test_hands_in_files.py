@@ -144,9 +144,9 @@ def test_undo_and_redo_of_a_bone_that_was_chosen(extension):
     rig.jghand.joints["ring2"].bone = "mixamorig:LeftHandRing2"
     bpy.ops.ed.undo_push(message="chosen")
     bpy.ops.ed.undo()
-    assert sources.bone_of(bpy.data.objects["Body"], "ring2") == "mixamorig:RightHandRing2"
+    assert sources.source_of(bpy.data.objects["Body"], "ring2").bone == "mixamorig:RightHandRing2"
     bpy.ops.ed.redo()
-    assert sources.bone_of(bpy.data.objects["Body"], "ring2") == "mixamorig:LeftHandRing2"
+    assert sources.source_of(bpy.data.objects["Body"], "ring2").bone == "mixamorig:LeftHandRing2"
 
 
 def test_a_duplicated_rig_and_a_duplicated_set_of_objects_stay_hands(extension):

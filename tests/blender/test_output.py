@@ -41,16 +41,9 @@ def extension(context):
     blender_addon.register()
     context.scene.frame_start, context.scene.frame_end = 3, 2 + FRAMES
     yield context
-    for job in runtime.jobs().running:
+    for job in runtime.jobs.running:
         job.kill()
     blender_addon.unregister()
-
-
-@pytest.fixture
-def engine(engine_python, monkeypatch):
-    """The real engine for jobs."""
-    monkeypatch.setenv(VARIABLE, engine_python)
-    return engine_python
 
 
 def a_hand(context, handedness="right", place="moved and turned"):
@@ -195,7 +188,7 @@ def test_what_the_engine_refuses_is_told_with_its_own_words(extension, engine, t
     extension.scene.jghand.output.folder = str(tmp_path)
     with pytest.raises(RuntimeError, match=r"none\.jghand"):
         bpy.ops.jghand.export()
-    job = runtime.jobs().get(runtime.EXPORT)
+    job = runtime.jobs.get(runtime.EXPORT)
     assert job is not None
     assert job.state.failure is not None
     assert bpy.ops.jghand.show_log(key=runtime.EXPORT) == {"FINISHED"}
@@ -203,8 +196,8 @@ def test_what_the_engine_refuses_is_told_with_its_own_words(extension, engine, t
 
 def test_a_job_is_shown_in_the_panel_that_started_it_and_keeps_the_other_from_writing(extension, monkeypatch):
     a_hand(extension)
-    monkeypatch.setattr(runtime, "_jobs", JobTable())
-    runtime.jobs().start(runtime.BAKE, JobSpec("Baking", (sys.executable, "-I", str(STAND_IN), "long")))
+    monkeypatch.setattr(runtime, "jobs", JobTable())
+    runtime.jobs.start(runtime.BAKE, JobSpec("Baking", (sys.executable, "-I", str(STAND_IN), "long")))
     bars = [[one.function for one in draw(each, extension).drawn].count("progress") for each in PANELS]
     assert bars == [1, 0]
     assert not bpy.ops.jghand.export.poll()
@@ -423,7 +416,7 @@ def test_what_jobs_are_given_is_in_a_folder_of_each_and_gone_when_they_are_over(
     one, other = folders.job_folder(), folders.job_folder()
     assert one != other
     for folder in (one, other):
-        folders.remove_job_folder(folder)
+        folder.rmdir()
     a_hand(extension)
     extension.scene.jghand.output.folder = str(tmp_path / "out")
     before = set(folders.user_folder("jobs").iterdir())

@@ -111,8 +111,8 @@ def test_a_scene_whose_hands_are_instanced_alone_shows_its_problems_and_the_othe
 @pytest.mark.parametrize("with_controls", [True, False])
 def test_all_panels_draw_for_a_hand_of_ours(extension, engine, side, with_controls):
     thing = add(side, use_controls=with_controls)
-    runtime.set_report(runtime.VIEWPORT, RECEIPT)
-    runtime.set_report(runtime.RENDER, RECEIPT)
+    runtime.reports[runtime.VIEWPORT] = RECEIPT
+    runtime.reports[runtime.RENDER] = RECEIPT
     seen = drawn(extension)
     assert hand_panel.ControlsPanel.bl_idname in seen
     assert hand_panel.BonesPanel.bl_idname not in seen
@@ -242,7 +242,7 @@ def test_dropped_frames_are_counted(extension, engine, monkeypatch):
 
 def test_statistics_show_what_the_last_picture_did_and_why(extension, engine):
     add()
-    runtime.set_report(runtime.VIEWPORT, RECEIPT)
+    runtime.reports[runtime.VIEWPORT] = RECEIPT
     extension.scene.jghand.use_viewport_budget = True
     extension.scene.jghand.viewport_budget_ms = 5.0
     seen = draw(picture.StatisticsPage, extension)
@@ -254,7 +254,7 @@ def test_statistics_show_what_the_last_picture_did_and_why(extension, engine):
 
 def test_a_pose_beyond_training_is_told_below_the_hands(extension, engine):
     add()
-    runtime.set_report(runtime.VIEWPORT, RECEIPT)
+    runtime.reports[runtime.VIEWPORT] = RECEIPT
     assert "index1: flexion 12° outside trained range" in text_of(draw(hand_panel.HandPanel, extension))
 
 

@@ -87,8 +87,8 @@ def test_the_library_becomes_one_of_the_users_once(context):
 
 def test_a_library_of_the_users_with_our_name_stays_what_it_is(context, tmp_path):
     theirs = context.preferences.filepaths.asset_libraries.new(name="JGHand", directory=str(tmp_path))
-    assert not pose_library.is_used()
+    assert not pose_library.library()
     name = pose_library.use_library()
-    assert pose_library.is_used()
+    assert pose_library.library()
     assert name != "JGHand"
     assert theirs.path == str(tmp_path)

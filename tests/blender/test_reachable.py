@@ -14,7 +14,7 @@ from recording_layout import Drawn, RecordingLayout, draw, draw_rows, operator_t
 from blender_addon import errors, preferences, registration
 from blender_addon.core import panel_text
 from blender_addon.export import panel as export_panel
-from blender_addon.hand import avatar_files, family
+from blender_addon.hand import avatar_files, properties
 from blender_addon.hand import panel as hand_panel
 from blender_addon.train import panel as training
 
@@ -39,7 +39,7 @@ def everything(extension, tmp_path, monkeypatch) -> list[Drawn]:
     """What all panels draw, in the states in which each of their parts shows."""
     monkeypatch.setattr(training, "preferences", lambda: SimpleNamespace(show_training=True))
     monkeypatch.setattr(avatar_files, "has_forearm", lambda avatar: True)
-    monkeypatch.setattr(family, "items", lambda: [("builtin",), ("child",)])
+    monkeypatch.setattr(properties, "hand_items", lambda: [("builtin",), ("child",)])
     seen = RecordingLayout()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     for stale in (True, False):  # a bake that shows something else than the scene, and one that does not

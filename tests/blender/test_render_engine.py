@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from blender_addon import ui
-from blender_addon.core import film, posing
+from blender_addon.core import posing, view
 from blender_addon.core.view import Moment, picture_request
 from blender_addon.hand import armature, sources
 from blender_addon.render import camera, command, samples
@@ -421,7 +421,7 @@ def test_a_mistake_of_our_own_fails_the_render_instead_of_writing_an_empty_pictu
     def mistake(*_):
         raise ZeroDivisionError("ours")
 
-    monkeypatch.setattr(render_engine.film, "scene_linear", mistake)
+    monkeypatch.setattr(render_engine.view, "scene_linear", mistake)
     refused(scene, "ZeroDivisionError: ours")
     assert "Traceback" in capsys.readouterr().err
 
@@ -485,15 +485,6 @@ def test_an_animation_and_a_batch_run_write_the_same_bytes(scene, tmp_path, monk
 # ---- the real engine ------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def real_engine(engine_python, linked_extension) -> Iterator[EngineLink]:
-    from blender_addon.renderer.process import engine_command
-
-    link = EngineLink(lambda: engine_command(engine_python))
-    yield link
-    link.close()
-
-
 @pytest.mark.parametrize(("dither", "steps"), [(0.0, 1.0), (1.0, 1.5)])
 def test_under_standard_the_picture_is_the_engines_own(scene, real_engine, dither, steps):
     """Premultiplied and within one 8-bit step, at edges and inside. Blender's writer dithers by half a step more,
@@ -525,4 +516,4 @@ def test_depth_of_field_and_bones_come_from_the_real_engine(scene, real_engine, 
     numbers = np.unique(sharp["JGHandId.X"])
     assert set(numbers) <= set(range(21))
     assert len(numbers) > 8
-    assert film.NOTHING_DEPTH in sharp["Depth.Z"]
+    assert view.NOTHING_DEPTH in sharp["Depth.Z"]

@@ -1,6 +1,5 @@
 """Hands in the light of their scene: what F12 makes of lamps and worlds, and what a view asks for."""
 
-import contextlib
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -32,11 +31,9 @@ pytestmark = pytest.mark.usefixtures("linked_extension")
 
 
 @pytest.fixture(scope="module")
-def real_engine(engine_python, linked_extension) -> Iterator[EngineLink]:
-    from blender_addon.renderer.process import engine_command
-
-    with contextlib.closing(EngineLink(lambda: engine_command(engine_python))) as link, linked_to(link):
-        yield link
+def real_engine(real_engine) -> Iterator[EngineLink]:
+    with linked_to(real_engine):
+        yield real_engine
 
 
 @pytest.fixture
@@ -293,7 +290,7 @@ def test_nodes_that_do_not_tell_their_light_are_measured_once_before_they_light_
         scene_light.measure(bpy.context.evaluated_depsgraph_get())
         assert of_render(scene).picture == pytest.approx(0.5, abs=0.02)
     assert measured == [scene.name]
-    assert scene_light.warnings() == ()
+    assert scene_light.warnings == ()
 
 
 def test_a_keyed_world_that_is_measured_lights_each_frame_as_it_is_there(scene, real_engine, tmp_path, measured):
@@ -342,13 +339,13 @@ def test_a_window_renders_no_world_that_is_not_measured(scene, monkeypatch, tmp_
     with pytest.raises(RuntimeError, match="not measured at this frame"):
         bpy.ops.render.render(write_still=True)
     assert not (tmp_path / "picture.png").exists()
-    assert "not measured" in " ".join(scene_light.warnings())
+    assert "not measured" in " ".join(scene_light.warnings)
 
 
 def test_a_world_that_shows_to_the_camera_alone_says_that_it_lights_no_hands(scene):
     def told() -> str:
         scene_light.of_render(bpy.context.evaluated_depsgraph_get(), [scene.objects[0]])
-        return " ".join(scene_light.warnings())
+        return " ".join(scene_light.warnings)
 
     scene.world = even_world((1, 1, 1))
     tree = scene.world.node_tree
@@ -409,7 +406,7 @@ def test_a_view_has_its_world_measured_once_cycles_is_there(scene, monkeypatch):
         light(bpy.context.evaluated_depsgraph_get())
         assert scene_light.tend()
         light(bpy.context.evaluated_depsgraph_get())
-        assert "Cycles, which is disabled" in " ".join(scene_light.warnings())
+        assert "Cycles, which is disabled" in " ".join(scene_light.warnings)
         assert not scene_light.tend()
     finally:
         addon_utils.enable("cycles")

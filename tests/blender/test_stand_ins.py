@@ -83,10 +83,7 @@ def f12(folder: Path) -> np.ndarray:
     scene.render.filepath = str(folder / "image.png")
     scene.render.image_settings.color_mode = "RGBA"
     bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(scene.render.filepath)
-    pixels = np.array(image.pixels[:], np.float32).reshape(image.size[1], image.size[0], 4)
-    bpy.data.images.remove(image)
-    return pixels
+    return hands.pixels(scene.render.filepath)
 
 
 def dark(picture: np.ndarray, beside: np.ndarray) -> int:

@@ -273,11 +273,11 @@ def test_blender_is_free_while_the_engine_looks(extension, engine, video, tmp_pa
     assert len(looks) <= 2
     assert timers[-1] == renderer_jobs.JOB_LOOK_S
     assert sent("ESC") == free, "it ends playback"
-    assert runtime.jobs().get(runtime.IMPORT).state.phase is Phase.RUNNING
+    assert runtime.jobs.get(runtime.IMPORT).state.phase is Phase.RUNNING
     with pytest.raises(JGHandFailure, match="running already"):
         next(working(video).steps(context))
     (engine / "wait").unlink()
-    assert runtime.jobs().get(runtime.IMPORT).wait(20.0)
+    assert runtime.jobs.get(runtime.IMPORT).wait(20.0)
     dragged.append(SimpleNamespace(bl_idname="OBJECT_OT_duplicate_move", macros=[translate]))
     assert sent("TIMER") == free
     assert not hands_of(extension.scene), "nothing changes under what is dragged"
@@ -325,7 +325,7 @@ def test_esc_while_the_engine_looks_ends_it(extension, engine, video, tmp_path):
     next(steps)
     assert (tmp_path / "job").exists()
     steps.close()
-    assert runtime.jobs().get(runtime.IMPORT).state.phase is Phase.CANCELLED
+    assert runtime.jobs.get(runtime.IMPORT).state.phase is Phase.CANCELLED
     assert not (tmp_path / "job").exists()
 
 

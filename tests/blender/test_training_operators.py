@@ -15,10 +15,10 @@ from test_avatar_cards import write_avatar  # pyright: ignore[reportMissingImpor
 from waiting import wait_for_count, wait_until
 
 from blender_addon.export import bakes
-from blender_addon.export.properties import IDENTITIES
 from blender_addon.hand import avatar_files, seen_hands
 from blender_addon.hand import panel as hand_panel
 from blender_addon.hand.ops import LoadAvatar
+from blender_addon.render.properties import IDENTITIES
 from blender_addon.renderer import runtime
 from blender_addon.renderer.jobs import Job, JobTable, Phase
 from blender_addon.train import panel as training
@@ -36,19 +36,19 @@ def place(extension, tmp_path, monkeypatch):
     monkeypatch.setattr(runtime, "program", lambda **_: (sys.executable, "-I", str(STAND_IN), "long"))
     monkeypatch.setattr(runtime, "timers_fire", lambda: True)
     monkeypatch.setattr(runtime, "watch_jobs", lambda: None)
-    monkeypatch.setattr(runtime, "_jobs", JobTable())
+    monkeypatch.setattr(runtime, "jobs", JobTable())
     monkeypatch.setattr(training, "preferences", lambda: SimpleNamespace(show_training=True))
     (tmp_path / "pictures").mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     bpy.context.scene.jghand.training.capture_folder = "//pictures"
     yield tmp_path
-    for job in runtime.jobs().running:
+    for job in runtime.jobs.running:
         job.kill()
 
 
 def running(key: str) -> Job:
     """The job of a key, once it has said how far it is."""
-    job = runtime.jobs().get(key)
+    job = runtime.jobs.get(key)
     assert job is not None
     wait_for_count(job)
     assert job.state.phase is Phase.RUNNING
@@ -72,7 +72,7 @@ def test_a_training_goes_on_while_another_file_is_opened_and_can_be_paused(place
     assert job.spec.folder == place / "my_hand.training"
     bpy.ops.wm.read_factory_settings(use_empty=True)
     assert job.tick() or job.state.phase is Phase.RUNNING
-    assert runtime.jobs().get(runtime.TRAINING) is job
+    assert runtime.jobs.get(runtime.TRAINING) is job
     assert bpy.ops.jghand.cancel_job(key=runtime.TRAINING) == {"FINISHED"}
     assert job.wait(LONG_S)
     assert job.state.phase is Phase.CANCELLED
@@ -97,7 +97,7 @@ def test_what_cannot_be_trained_is_told_before_anything_starts(place, name, valu
     setattr(bpy.context.scene.jghand.training, name, value)
     with pytest.raises(RuntimeError, match=told):
         bpy.ops.jghand.train()
-    assert runtime.jobs().get(runtime.TRAINING) is None
+    assert runtime.jobs.get(runtime.TRAINING) is None
 
 
 def test_the_panel_offers_what_can_be_done_with_the_training(place):
@@ -125,7 +125,7 @@ def test_a_training_of_an_earlier_day_can_go_on(place):
 def test_a_failed_job_says_why_until_the_next_one(place, monkeypatch):
     monkeypatch.setattr(runtime, "program", lambda **_: (sys.executable, "-I", str(STAND_IN), "disk full"))
     bpy.ops.jghand.train()
-    job = runtime.jobs().get(runtime.TRAINING)
+    job = runtime.jobs.get(runtime.TRAINING)
     assert job.wait(LONG_S)
     text = text_of(training.TrainPanel)
     assert "The disk is full" in text
@@ -321,7 +321,7 @@ from blender_addon.renderer.jobs import JobSpec
 bpy.ops.wm.read_factory_settings(use_empty=True)
 blender_addon.register()
 words = (sys.executable, "-I", {str(STAND_IN)!r}, "long", {"file=" + str(tmp_path / "checkpoint")!r})
-job = runtime.jobs().start("training", JobSpec("Training", words))
+job = runtime.jobs.start("training", JobSpec("Training", words))
 while not job.state.total:
     job.tick()
     time.sleep(0.02)

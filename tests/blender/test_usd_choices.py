@@ -4,8 +4,8 @@ import pytest
 
 pytest.importorskip("bpy", reason="needs the bpy wheel of this Python")
 
-from blender_addon.export import properties as export_properties
 from blender_addon.export.recording import USD_PRESETS
+from blender_addon.render import properties
 
 
 @pytest.mark.parametrize("program", USD_PRESETS)
@@ -22,9 +22,9 @@ def test_the_settings_begin_with_what_the_program_shown_wants_and_bakes_with_poi
     settings = extension.scene.jghand.output
     variant, width_factor = USD_PRESETS[settings.program]
     assert (settings.variant, settings.width_factor) == (variant, width_factor)
-    assert settings.bake_width_factor == export_properties.POINT_WIDTH_FACTOR
+    assert settings.bake_width_factor == properties.POINT_WIDTH_FACTOR
     settings.program = "houdini"
-    assert settings.bake_width_factor == export_properties.POINT_WIDTH_FACTOR, "an export's program is none of a bake's"
+    assert settings.bake_width_factor == properties.POINT_WIDTH_FACTOR, "an export's program is none of a bake's"
 
 
 def test_every_program_and_variant_of_the_engine_can_be_chosen(extension):

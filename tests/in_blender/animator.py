@@ -58,7 +58,8 @@ def step_a_picture_without_hands_says_so(window):
     scene.render.resolution_x, scene.render.resolution_y = SIZE
     yield from window.point_at_view()
     yield from window.key("F12")
-    yield lambda: window.module("render.rendering").was_said(scene)
+    rendering, ui = window.module("render.rendering"), window.module("ui")
+    yield lambda: any(uid == scene.session_uid for uid, _ in rendering._said) and ui.later is None
     yield 1.0
     window.picture("without_hands")
     yield from window.key("Escape")

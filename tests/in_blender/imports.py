@@ -90,7 +90,7 @@ def _hand() -> bpy.types.Object:
 
 
 def _job(window):
-    return window.module("renderer.runtime").jobs().get("import")
+    return window.module("renderer.runtime").jobs.get("import")
 
 
 def _job_folders(window) -> Iterator[Path]:

@@ -60,11 +60,11 @@ def step_escape_ends_the_reading_of_an_animation(window):
     yield from window.key("Escape")
     yield 1.0
     assert scene.frame_current == 12
-    assert window.runtime().jobs().get("export") is None
+    assert window.runtime().jobs.get("export") is None
 
 
 def step_escape_ends_the_job(window):
-    jobs, scene = window.runtime().jobs(), bpy.context.scene
+    jobs, scene = window.runtime().jobs, bpy.context.scene
     scene.frame_end = 10 * FRAMES
     window.call("jghand.export")
     yield lambda: jobs.get("export") is not None
@@ -89,7 +89,7 @@ def step_without_usd_a_bake_is_refused_in_a_sentence(window):
     except RuntimeError as error:
         problem = str(error)
     assert "cannot read or write USD" in problem, problem
-    assert window.runtime().jobs().get("bake") is None
+    assert window.runtime().jobs.get("bake") is None
     assert not list(window.out.glob("jghand_bake/**/bake.json"))
 
 
@@ -98,7 +98,7 @@ def _has_usd(window):
 
 
 def step_usd_ply_and_motion_files_are_exported(window):
-    jobs, settings = window.runtime().jobs(), bpy.context.scene.jghand.output
+    jobs, settings = window.runtime().jobs, bpy.context.scene.jghand.output
     wanted = [("usd", "*.usda", 2)] if _has_usd(window) else []
     for kind, pattern, count in (*wanted, ("ply", "*.ply", FRAMES), ("motion", "*.npz", 1)):
         settings.format, settings.folder = kind, f"//{kind}"
@@ -111,7 +111,7 @@ def step_usd_ply_and_motion_files_are_exported(window):
 
 def step_a_training_survives_opening_another_file(window):
     """The engine's command line is stood in for by a program that counts: what is tried is Blender's side."""
-    runtime, table = window.runtime(), window.runtime().jobs()
+    runtime, table = window.runtime(), window.runtime().jobs
     stand_in = Path(__file__).parents[1] / "addon_core" / "stand_in_job.py"
     runtime.program = lambda **_: (sys.executable, "-I", str(stand_in), "hours")
     pictures = window.out / "jghand_capture"
