@@ -38,7 +38,7 @@ from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.run import RunOptions, train
 from jghand_engine.learn.shadow import darken, printed_visibility
 from jghand_engine.learn.skinning import pose_gaussians
-from jghand_engine.learn.step import HandTraining
+from jghand_engine.learn.trainable import Trainable
 from jghand_engine.learn.work_folder import Start, WorkFolder
 from jghand_engine.native.library import load
 from jghand_engine.native.scene_light_task import LampKind
@@ -76,7 +76,7 @@ def variant_folder(folder: Path, name: str) -> Path:
 
 
 def train_variant(
-    build: Callable[[], HandTraining], run: RunOptions, display: Display | None, first: RunOptions | None = None
+    build: Callable[[], Trainable], run: RunOptions, display: Display | None, first: RunOptions | None = None
 ) -> HandAvatar | None:
     """Trains one variant, or resumes it; None when somebody stopped it. first: the training that it goes on from, if
     it has not begun yet. Errors as `run.train`."""

@@ -21,7 +21,7 @@ import torch
 from jghand_engine import __version__
 from jghand_engine.errors import InputError
 from jghand_engine.files import write_file
-from jghand_engine.learn.step import HandTraining
+from jghand_engine.learn.trainable import Trainable
 
 # checkpoints that are kept, beside the one with the best fixed views: one more than the last, should that be damaged
 CHECKPOINTS_KEPT = 2
@@ -166,11 +166,11 @@ class Snapshot:
     state: LoopState
 
     @classmethod
-    def of(cls, training: HandTraining, state: LoopState) -> Snapshot:
+    def of(cls, training: Trainable, state: LoopState) -> Snapshot:
         tensors = {name: tensor.detach().clone() for name, tensor in training.tensors().items()}
         return cls(tensors, copy.deepcopy(training.scalars()), copy.deepcopy(state))
 
-    def restore(self, training: HandTraining) -> LoopState:
+    def restore(self, training: Trainable) -> LoopState:
         """Puts `training` back into this state; returns the loop's part, to go on with."""
         training.load_tensors(self.tensors)
         training.load_scalars(copy.deepcopy(self.scalars))
@@ -178,7 +178,7 @@ class Snapshot:
         return copy.deepcopy(self.state)
 
 
-def check_fits(tensors: Mapping[str, torch.Tensor], training: HandTraining, thing: str) -> None:
+def check_fits(tensors: Mapping[str, torch.Tensor], training: Trainable, thing: str) -> None:
     """InputError when `tensors`, which errors call `thing`, are not those of `training`: by name, shape and type."""
 
     def form(tensor: torch.Tensor | None) -> str:

@@ -15,7 +15,7 @@ import torch
 
 from jghand_engine.errors import JGHandError
 from jghand_engine.learn.checkpoint import Snapshot
-from jghand_engine.learn.step import HandTraining
+from jghand_engine.learn.trainable import Trainable
 
 # steps between two copies of the state in memory, to which the guard goes back: a copy costs a few milliseconds
 GUARD_KEEP_STEPS = 50
@@ -25,7 +25,7 @@ GUARD_KEEPS_AT_FIRST = (2, 5, 10, 20)
 GUARD_RECOVERIES_MAX = 5
 
 
-def find_non_finite(figures: Mapping[str, float], training: HandTraining) -> list[str]:
+def find_non_finite(figures: Mapping[str, float], training: Trainable) -> list[str]:
     """What a step left that is not finite, in the order in which it computes, such as "gradient planes.uv (2 NaN)".
 
     Costs one pass over memory when there is nothing.
@@ -46,7 +46,7 @@ def _in_tensors(kind: str, tensors: Mapping[str, torch.Tensor]) -> Iterator[str]
             yield f"{kind} {name} ({text})"
 
 
-def recovered(good: Snapshot, number: int, findings: list[str], training: HandTraining) -> Snapshot:
+def recovered(good: Snapshot, number: int, findings: list[str], training: Trainable) -> Snapshot:
     """Puts `training` back into its last good state; that state with step `number` among those left out.
 
     JGHandError when that happened too often.

@@ -29,7 +29,7 @@ from jghand_engine.learn.checkpoint import LoopState, Snapshot, Stamp, check_fit
 from jghand_engine.learn.guard import GUARD_KEEP_STEPS, GUARD_KEEPS_AT_FIRST, find_non_finite, recovered
 from jghand_engine.learn.progress import Display, Silent, Status
 from jghand_engine.learn.schedule import Budget, Every, Timer, stop_requests
-from jghand_engine.learn.step import HandTraining
+from jghand_engine.learn.trainable import GAUSSIANS, LOSS, Trainable
 from jghand_engine.learn.work_folder import Start, WorkFolder, check_folder, check_output, write_output
 
 # seconds between two checkpoints: what kill -9 may lose. Writing one of 40 MB takes some 40 ms
@@ -84,7 +84,7 @@ class Outcome:
     psnr: float
 
 
-def train(build: Callable[[], HandTraining], options: RunOptions, display: Display | None = None) -> Outcome:
+def train(build: Callable[[], Trainable], options: RunOptions, display: Display | None = None) -> Outcome:
     """Trains what `build` makes, and writes the avatar when it is finished.
 
     Everything that can be refused is refused before `build` is called. Raises InputError and RetryError for files and
@@ -111,7 +111,7 @@ def check_places(options: RunOptions) -> None:
     check_output(options.out, options.work, overwrite=options.overwrite)
 
 
-def _finish(training: HandTraining, options: RunOptions) -> None:
+def _finish(training: Trainable, options: RunOptions) -> None:
     try:
         # again: hours may have passed
         check_output(options.out, options.work, overwrite=options.overwrite)
@@ -124,9 +124,7 @@ def _finish(training: HandTraining, options: RunOptions) -> None:
 class Loop:
     """One session of a training: from its newest checkpoint to the end of the budget, or to a stop."""
 
-    def __init__(
-        self, training: HandTraining, options: RunOptions, work: WorkFolder, log: Log, display: Display
-    ) -> None:
+    def __init__(self, training: Trainable, options: RunOptions, work: WorkFolder, log: Log, display: Display) -> None:
         self._training, self._options, self._work = training, options, work
         self._log, self._display = log, display
         self._figures: Mapping[str, float] = {}
@@ -235,12 +233,12 @@ class Loop:
 
     def _show(self) -> None:
         state, speed = self.state, self._speed()
-        gaussians = self._figures.get("gaussians")
+        gaussians = self._figures.get(GAUSSIANS)
         self._display.update(
             Status(
                 step=state.step,
                 steps=state.planned_steps,
-                loss=self._figures.get("loss"),
+                loss=self._figures.get(LOSS),
                 psnr=self.psnr if math.isfinite(self.psnr) else None,
                 gaussians=None if gaussians is None else round(gaussians),
                 steps_per_s=speed,

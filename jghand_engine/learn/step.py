@@ -48,6 +48,7 @@ from jghand_engine.learn.shadow import darken, printed_visibility
 from jghand_engine.learn.skeleton import BoneTransforms, angle_ranges
 from jghand_engine.learn.skinning import PosedSkin, SkinMaps, map_weights, pose_skin, see_lamps, seen_from, skin_maps
 from jghand_engine.learn.tensors import HandTensors, mapped
+from jghand_engine.learn.trainable import GAUSSIANS, LOSS
 from jghand_engine.native.library import load as load_native
 from jghand_engine.native.threads import thread_count
 from jghand_engine.render.camera import Camera
@@ -109,13 +110,7 @@ class _PosedBones:
 
 
 class HandTraining:
-    """Learns `material` as `options` say, in numbered steps, with torch's part on `device`.
-
-    Nothing random goes from one step to the next: what a step does follows from `tensors`, `scalars`, its number and
-    the planned number of steps alone. That makes a resumed training bit-identical to an uninterrupted one, and a
-    failed step repeatable. The loop (`learn.run`), checkpoints and guard know no more of it than the methods up to
-    `avatar`.
-    """
+    """A Trainable (`learn.trainable`): learns `material` as `options` say, with torch's part on `device`."""
 
     def __init__(self, material: Material, options: TrainOptions, device: torch.device = CPU) -> None:
         _check_joints(material)
@@ -195,16 +190,12 @@ class HandTraining:
         )
         return DetailLearner(self._material.template, skeleton)
 
-    # ---- what the loop calls ----------------------------------------------------------------------------------------
+    # ---- Trainable ---------------------------------------------------------------------------------------------------
 
     def plan(self, steps: int) -> None:
-        """Says how many steps the whole training will have, for schedules. Under a time budget it is an estimate and
-        may change between two steps."""
         self._steps = max(steps, 1)
 
     def step(self, number: int) -> dict[str, float]:
-        """One step of optimization, counted from 0 over the whole training. Its figures: the `loss` that is minimized,
-        its terms, how many `gaussians` it drew. All chance in it follows from (seed, number)."""
         self._part = part = min(number / self._steps, 1.0)
         self._refine(part)
         self._find_detail(part)
@@ -230,10 +221,10 @@ class HandTraining:
                 self._texture_optimizer.step()
                 self._detail.keep_in_range()
         figures = {name: float(term.detach()) for name, term in terms.items()}
-        return {"loss": float(loss.detach()), "gaussians": float(self._count), "gradient": float(norm), **figures}
+        return {LOSS: float(loss.detach()), GAUSSIANS: float(self._count), "gradient": float(norm), **figures}
 
     def tensors(self) -> dict[str, Tensor]:
-        """Every tensor of the state, not copied: parameters under their names, Adam's moments behind `adam.`."""
+        """See Trainable: parameters under their names, Adam's moments behind `adam.`."""
         named = {name: parameter.data for name, parameter in self.hand.named_parameters()}
         for name, parameter in self.hand.named_parameters():
             state = self._started(self._optimizer, parameter)
@@ -245,36 +236,33 @@ class HandTraining:
         return named
 
     def load_tensors(self, tensors: Mapping[str, Tensor]) -> None:
-        """Takes over values, which have the names, shapes and types of `tensors()`."""
         with torch.no_grad():
             for name, own in self.tensors().items():
                 own.copy_(tensors[name])
         self.hand.keep_in_range()
 
     def scalars(self) -> dict[str, Any]:
-        """The rest of the state: how many Gaussians take part so far, and the part of the training that is over."""
+        """See Trainable: how many Gaussians take part so far, and the part of the training that is over."""
         return {"count": self._count, "part": self._part}
 
     def load_scalars(self, scalars: Mapping[str, Any]) -> None:
         self._count, self._part = int(scalars["count"]), float(scalars.get("part", 1.0))
 
     def gradients(self) -> dict[str, Tensor]:
-        """Of the last step, by the name of their parameter, as the update used them."""
         return {name: parameter.grad for name, parameter in self.hand.named_parameters() if parameter.grad is not None}
 
     def preview(self) -> np.ndarray:
-        """(H, W, 3) sRGB 0..1: the first fixed view, the truth beside ours."""
         view, ours = self._drawn(self._material.judged[0])
         return torch.cat([view.rgb, ours], 1).numpy()
 
     def fixed_psnr(self) -> float:
-        """Mean PSNR of the cuts of the fixed views, dB."""
+        """See Trainable: on the cuts of the fixed views."""
         pairs = [self._drawn(sample) for sample in self._material.judged]
         errors = torch.stack([(view.rgb - ours).square().mean() for view, ours in pairs])
         return float(-10 * torch.log10(errors.clamp_min(1e-10)).mean())
 
     def avatar(self) -> HandAvatar:
-        """What has been learned so far, apart from what goes on learning; its angle ranges are those of the poses."""
+        """See Trainable: plain numbers, apart from what goes on learning; its angle ranges are those of the poses."""
         with torch.no_grad():
             info = replace(self._info, pose_statistics=angle_ranges(self._transform, self._joints_m()))
             avatar = self.hand.avatar(info, handedness=self._handedness).avatar()

@@ -33,7 +33,7 @@ PROJECT = Path(__file__).resolve().parents[3]
 # the extension: in a checkout; around the engine in the extension's zip; else where the extension itself says it is
 ADDONS = (PROJECT / "blender_addon", PROJECT)
 ADDON_VARIABLE = "JGHAND_BLENDER_ADDON"
-# what blender_addon/capture/png.py writes
+# what blender_addon/capture/scene.py writes
 STAMP_KEY = "jghand-stamp"
 MAKERS_FILE = "made_by.json"
 _REMEDY = (
