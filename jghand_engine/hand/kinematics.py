@@ -57,7 +57,7 @@ GAP_ROUNDS = 8
 
 # the palm arches when fingers close: turns of the metacarpals of index to pinky about the wrist, degrees, in the palm's
 # plane (towards the thumb's side below 0) and out of it, and the flexion of the knuckle at which it begins and ends.
-# Those of the captures' rig (SKIN 8), whose metacarpals turn about their bases
+# Those of the captures' rig (SKIN, Poses closed by skin), whose metacarpals turn about their bases
 ARCH_DEG, SINK_DEG = (1.7, 0.0, -1.3, -4.6), (0.3, 0.0, 2.7, 5.5)
 ARCH_FLEXIONS_DEG = (45.0, 90.0)
 

@@ -1,6 +1,6 @@
 """HALO's transform, to compare ours with: no choice for use. And which transform an avatar was made for.
 
-It is written from descriptions (METHOD 2.2 and 6.2), not from anybody's code, and has the interface of
+It is written from descriptions (METHOD 2.2, PAPER 3), not from anybody's code, and has the interface of
 `JointTransform`, so that an avatar can be trained with it (the ablation "w/o trans").
 """
 

@@ -19,7 +19,7 @@ from jghand_engine.template.surface import vertex_normals
 
 # edge of the square image, and what it shows where it is aimed: 0.18 mm per pixel, as of a hand that fills 1080 lines
 CLOSE_PX, CLOSE_FIELD_M = 384, 0.070
-# rays per pixel, at least: of fewer the denoiser makes brush strokes of pores and ridges (SKIN 9). And so many times
+# rays per pixel, at least: of fewer the denoiser makes brush strokes of pores and ridges (DATA 4). And so many times
 # those of the whole hand: a capture that is made again with more has less noise in close-ups, too
 CLOSE_SAMPLES, CLOSE_SAMPLES_TIMES = 32, 2
 # distance, meters: near enough for perspective to matter, and for its lens to be a usual one

@@ -40,10 +40,10 @@ CUP_REST = 0.05
 # how far below flat a stretched finger may press its metacarpal, as a part of the largest turn
 CUP_FLATTEN = 0.25
 # knuckles draw together when fingers bend: the turn of the metacarpals in the palm's plane at a right angle of the
-# knuckle, degrees, towards the thumb's side below 0. First phalanges then touch, as they do in a fist (SKIN 8)
+# knuckle, degrees, towards the thumb's side below 0. First phalanges then touch, as they do in a fist
 ARCH_DEG, ARCH_FLEXION_DEG = (2.6, 0.0, -2.0, -7.0), 90.0
 # fingers are so much thicker about their bones than those of the file, which are slim for the breadth of its palm; from
-# no change to all of it where the finger's share of the skin's weights is between these (SKIN 8)
+# no change to all of it where the finger's share of the skin's weights is between these
 FLESH, FLESH_SHARES = 1.10, (0.5, 1.0)
 # first joint of each finger in the rig: thumb CMC, MCP of the others
 FIRST_JOINTS = (1, 6, 11, 16, 21)

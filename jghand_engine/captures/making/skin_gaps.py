@@ -1,7 +1,7 @@
 """How far the parts of one hand's skin are from one another: of neighboring fingers, of fingers and palm, of the thumb.
 
 Distances are millimeters between the vertices of a smooth mesh and the other part's skin at its nearest vertex;
-negative inside it. SKIN 8.
+negative inside it. SKIN, Poses closed by skin.
 """
 
 from __future__ import annotations
