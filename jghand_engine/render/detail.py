@@ -114,6 +114,7 @@ class NativeDetail:
         self.team = new_team()
         # what the task points to
         self._keep: np.ndarray | None = None
+        self._faces: np.ndarray | None = None  # that `surfaces` finds on the way
         self._lit: list[object] = []
 
     def pose(self, bones: Sequence[Bones], shifts_m: Sequence[np.ndarray]) -> None:
@@ -127,7 +128,7 @@ class NativeDetail:
 
     def prepare(
         self,
-        planes: np.ndarray,
+        planes: np.ndarray | None,
         camera: Camera,
         strengths: Sequence[float],
         *,
@@ -135,11 +136,13 @@ class NativeDetail:
         seen: Sequence[bool] | None = None,
         from_within: bool = False,
     ) -> None:
-        """Sets the next image, (5, H, W) as the rasterizer leaves it, which is changed in place.
+        """Sets the next image, (5, H, W) as the rasterizer leaves it, which is changed in place; None to ask for the
+        nearest faces alone.
         strengths: 0..1 per hand · ends_hands: whether nothing is drawn that is not on one of the surfaces · seen: per
         hand whether it can be in the image; None: all · from_within: whether faces are drawn from both sides"""
         task, self._keep = self._task, planes
-        task.picture = address(planes, np.float32, "planes", (5, camera.height, camera.width), writable=True)
+        shape = (5, camera.height, camera.width)
+        task.picture = None if planes is None else address(planes, np.float32, "planes", shape, writable=True)
         task.width, task.height, task.orthographic = camera.width, camera.height, camera.orthographic
         task.fx, task.fy, task.cx, task.cy = camera.fx, camera.fy, camera.cx, camera.cy
         task.camera_from_position[:] = camera.camera_from_world[:3].ravel().tolist()
@@ -171,41 +174,43 @@ class NativeDetail:
 
     def hits(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """Of the pose that stands and one hand: see `SurfaceHits`. The camera is of the origin of the positions."""
-        row, near = self._nearest(camera, shared_pool(0))
+        row, near = (np.empty((camera.height, camera.width), dtype) for dtype in (np.int32, np.float32))
+        self._nearest(camera, shared_pool(0), row, near)
         face = np.where(row < 0, -1, self._hands[0].face_of_row[row])
         with np.errstate(divide="ignore"):
             depth_m = -near if camera.orthographic else 1 / near
         return face, np.where(row < 0, np.float32(np.inf), depth_m)
 
-    def surfaces(self, camera: Camera, hand: int, pool: WorkerPool) -> tuple[np.ndarray, np.ndarray]:
-        """Of the pose that stands: (H, W) float32 how near the nearest surface is, from within, too, 1/z or, of
-        parallel rays, -z, and where nothing is, below all; and (3, rows) x, y and near of the vertices of one hand. The
-        camera is of the origin of the positions."""
-        _, near = self._nearest(camera, pool, from_within=True)
-        return near, self._hands[hand].vertices.copy()
+    def surfaces(self, camera: Camera, hand: int, pool: WorkerPool, near: np.ndarray) -> np.ndarray:
+        """Of the pose that stands: fills near (H, W) float32 with how near the nearest surface is, from within, too,
+        1/z or, of parallel rays, -z, and where nothing is, below all; returns (3, rows) x, y and near of the vertices of
+        one hand, until the next image. The camera is of the origin of the positions."""
+        if self._faces is None or self._faces.shape != near.shape:
+            self._faces = np.empty(near.shape, np.int32)
+        self._nearest(camera, pool, self._faces, near, from_within=True)
+        return self._hands[hand].vertices
 
     def rest(self) -> None:
         """Lets go of the last image."""
-        self._keep, self._lit = None, []
+        self._keep, self._faces, self._lit = None, None, []
 
     def rows_of_vertices(self, hand: int) -> np.ndarray:
         """(V,) in which row of `surfaces` each vertex of a hand stands."""
         return self._hands[hand].row_of_vertex
 
-    def _nearest(self, camera: Camera, pool: WorkerPool, *, from_within: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """(H, W) numbers of the nearest faces with those of their hands, -1 where there are none, and how near they
-        are."""
-        task, shape = self._task, (camera.height, camera.width)
-        face, near = np.empty(shape, np.int32), np.empty(shape, np.float32)
-        unshaded = [0.0] * len(self._hands)
-        self.prepare(np.empty((5, *shape), np.float32), camera, unshaded, from_within=from_within)
+    def _nearest(
+        self, camera: Camera, pool: WorkerPool, face: np.ndarray, near: np.ndarray, *, from_within: bool = False
+    ) -> None:
+        """Fills face (H, W) int32 with numbers of the nearest faces and those of their hands, -1 where there are none,
+        and near (H, W) float32 with how near they are."""
+        task = self._task
+        self.prepare(None, camera, [0.0] * len(self._hands), from_within=from_within)
         task.hit, task.hit_near = face.ctypes.data, near.ctypes.data
         try:
             pool.run(lambda _thread: self.run())
         finally:
             # the arrays are their owner's
             task.hit = task.hit_near = None
-        return face, near
 
     def run(self) -> None:
         """Draws what was prepared; every thread of a team calls it."""

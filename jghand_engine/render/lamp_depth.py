@@ -75,8 +75,9 @@ class LampPictures:
         self._disc[...] = vogel_disc(LAMP_TAPS).T
         # per hand, once it is asked for
         self._above: dict[int, tuple[_Above, _Above]] = {}
-        # what the last ones point to
-        self._taken: list[np.ndarray] = []
+        # what the last ones point to; the memory of the first serves the next ones
+        self._near: list[np.ndarray] = []
+        self._vertices: list[np.ndarray] = []
 
     def take(
         self,
@@ -95,7 +96,7 @@ class LampPictures:
         origin_m: (3,) of the positions, in the frame of the lamps
         layers:   numbers of the lamps whose light is drawn apart
         """
-        self._taken = []
+        self._vertices = []
         return [
             {
                 number: self._picture(
@@ -127,8 +128,11 @@ class LampPictures:
         layer: int,
     ) -> LampDepth:
         camera = seen_from(lamp, ball).about(origin_m)
-        near, vertices = self._detail.surfaces(camera, hand, pool)
-        self._taken += [near, vertices]
+        if (place := len(self._vertices)) == len(self._near):
+            self._near.append(np.empty((camera.height, camera.width), np.float32))
+        near = self._near[place]
+        vertices = self._detail.surfaces(camera, hand, pool, near).copy()
+        self._vertices.append(vertices)
         skin, anchors = self._above_hand(hand)
         return LampDepth(
             near=near.ctypes.data,

@@ -10,6 +10,7 @@ import torch
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.posing import Posing
+from jghand_engine.avatar.scene_light import Lamp, LampKind, SceneLight
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -25,7 +26,7 @@ from jghand_engine.render.effect_plan import Decision, Effect
 from jghand_engine.render.effects import REUSE_SKIN_M, reusable
 from jghand_engine.render.hand_facts import HandFacts
 from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
-from jghand_engine.render.settings import RenderSettings, ShadowMode
+from jghand_engine.render.settings import RenderSettings, ShadowMode, preset
 from jghand_engine.render.shadow import ShadowStyle
 
 COUNT = 4000
@@ -173,8 +174,16 @@ def bound(frame: Frame) -> str:
     return decision(frame, Effect.SKIN).bound
 
 
-def test_no_memory_of_the_size_of_an_image_is_taken_beside_the_frames():
-    renderer, view = HandRenderer(RIGHT, replace(ALWAYS, reuse=False)), camera(512, 384, focal_px=1000.0)
+@pytest.mark.parametrize("in_scene", [False, True])
+def test_no_memory_of_the_size_of_an_image_is_taken_beside_the_frames(in_scene: bool):
+    """In the light of a scene with pictures from its lamps, and light of them that is drawn apart."""
+    view = camera(512, 384, focal_px=1000.0)
+    if in_scene:
+        sun = Lamp(LampKind.SUN, (3.0, 3.0, 3.0), (0.3, 1.0, 0.5), angle_rad=0.01)
+        builtin, settings = load_builtin(handedness=Handedness.RIGHT), replace(preset("final"), reuse=False)
+        renderer = HandRenderer(builtin, settings, SceneLight(None, (sun,)))
+    else:
+        renderer = HandRenderer(RIGHT, replace(ALWAYS, reuse=False))
     poses = [pose(name) for name in ("fist", "open")]
     for joints in (*poses, *poses):
         renderer.render(joints, view)
