@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.avatar import HandAvatar, hidden_from
 from jghand_engine.avatar.blocks import Blocks, set_pointers
 from jghand_engine.avatar.cast_task import Capsules, CastStep
 from jghand_engine.avatar.corrective_task import corrective_step
@@ -257,6 +257,7 @@ class _Light:
         self.task, self.reflects, self._rows = learned_task(learned, avatar.handedness), learned.reflects, blocks.rows
         self._fades = learned.fades
         self._arrays = learned_arrays(avatar, learned, blocks)
+        self._arrays["hidden_from"] = blocks.in_rows(hidden_from(avatar.position_m, avatar.opacity))
         set_pointers(self.task, self._arrays)
         self.task.lobes = len(self._arrays["lobe"])
         self._correctives = corrective_step(learned.correctives, avatar, blocks, self.task)

@@ -75,7 +75,7 @@ def place_points(
     """`count` points in the shell of `depth_m` under the skin; the same arguments give the same points.
 
     area_power: bones share the points as their area to this power: 0 equally, as the paper does, 1 evenly over the
-    skin; a forearm has FOREARM_DENSITY. depth_of_points: as of `sample_shell`. InputError for numbers out of range.
+    skin; a forearm has FOREARM_DENSITY. depth_of_points: as of `sample_shell`.
     Points that were placed before come from the user's cache.
     """
     numbers = {"depth_m": depth_m, "area_power": area_power, "seed": seed, "depth_of_points": depth_of_points}

@@ -21,7 +21,7 @@ class Gaussians:
     rgb:           (N, 3) display-referred sRGB, blended as such
     covariance_m2: (N, 6) xx, xy, xz, yy, yz, zz in the same frame, square meters; None: sigma_m decides
     front:         (N,)   0..1 part of each that is seen from outside, in which a pixel's color is that of these parts
-                          alone; None: all of all
+                          alone; below 0: it is not drawn; None: all of all
     pixel_m:       of the pictures that they were learned from, where the Gaussians are, meters: in finer ones the low
                    pass stays as wide there as in those (Yu et al., Mip-Splatting), without a gradient; 0: it is that
                    of the pixels

@@ -21,6 +21,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from jghand_engine.errors import InputError, first_line, install_extra
+from jghand_engine.learn.metrics import METRIC_BOX_MIN_PX
 
 # floor of the length of a feature vector, as both networks were trained with it
 PERCEPTUAL_NORM_EPS = 1e-10
@@ -48,8 +49,13 @@ class PerceptualMetric:
     heads: tuple[Tensor, ...]
 
     def distance(self, rgb: Tensor, truth: Tensor) -> Tensor:
-        """Scalar, 0 for equal pictures; (H, W, 3) float32 display-referred sRGB 0..1, each side METRIC_BOX_MIN_PX or
-        more."""
+        """Scalar, 0 for equal pictures; (H, W, 3) float32 display-referred sRGB 0..1.
+
+        InputError for a side below METRIC_BOX_MIN_PX, which captures of small pictures have.
+        """
+        if min(rgb.shape[:2]) < METRIC_BOX_MIN_PX:
+            raise InputError(f"pictures for {self.name}", came=f"{rgb.shape[1]} x {rgb.shape[0]} pixels",
+                             wanted=f"at least {METRIC_BOX_MIN_PX} along each side")  # fmt: skip
         ours = self.features(_network_input(rgb))
         with torch.no_grad():
             theirs = self.features(_network_input(truth))

@@ -152,7 +152,10 @@ def _select(
     invalid = int((~valid).sum()) + int((~sized).sum())
     left, right, top, bottom = _boxes(ellipses, alpha_min)
     on_picture = (right > 0) & (left < camera.width) & (bottom > 0) & (top < camera.height)
-    visible = torch.nonzero(sized & on_picture & (ellipses.opacity > alpha_min))[:, 0]
+    drawn = sized & on_picture & (ellipses.opacity > alpha_min)
+    if gaussians.front is not None:
+        drawn &= gaussians.front[in_front] >= 0
+    visible = torch.nonzero(drawn)[:, 0]
     # the contract's key is the depth in float32, in every precision
     front_to_back = torch.argsort(ellipses.z[visible].to(torch.float32), stable=True)
     return in_front[visible[front_to_back]], invalid

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import torch
 
-from jghand_engine.avatar.avatar import HandAvatar, with_slices
+from jghand_engine.avatar.avatar import HandAvatar, hidden_from, with_slices
 from jghand_engine.avatar.cast_task import Capsules
 from jghand_engine.avatar.learned import Ellipsoid
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN
@@ -210,8 +210,10 @@ def seen_from(skin: PosedSkin, eye_m: torch.Tensor, avatar: HandTensors) -> Gaus
     rgb = skin.matt.rgb + reflected
     if not avatar.learned.in_studio:
         return replace(skin.matt, rgb=rgb)
-    front = seen_from_outside((skin.normal * to_eye).sum(-1))
-    return replace(skin.matt, rgb=front[:, None] * rgb, front=front)
+    facing = (skin.normal * to_eye).sum(-1)
+    front = seen_from_outside(facing)
+    drawn_from = torch.from_numpy(hidden_from(avatar.position_m.numpy(force=True), avatar.opacity.numpy(force=True)))
+    return replace(skin.matt, rgb=front[:, None] * rgb, front=torch.where(facing > drawn_from.to(facing), front, -1))
 
 
 def posed_skin(

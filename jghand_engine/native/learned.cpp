@@ -85,12 +85,12 @@ void gloss_block(const LearnedTask& t, int32_t block) {
     eye[i] = t.eye[i] - p[i];
   }
   make_unit(eye, t.length2_min);
-  const vf facing = dot(n, eye);
+  const vf facing = dot(n, eye), fade = t.front ? seen_from_outside(t, row, facing) : all(1.f);
+  if (!bit_mask(fade > 0)) return store_triples(t.rgb + 3 * row, vf{}, vf{}, vf{});
   for (int i = 0; i < 3; i++) mirrored[i] = 2.f * facing * n[i] - eye[i];
   add_lobes(t.lobe, t.lobes, mirrored, lobes);
   const vf grazing = 1.f - min(max(facing, vf{}), all(1.f)), square = grazing * grazing;
   const vf shine = load(t.look + LOOK * row + LANES * 6) * (1.f + t.rim * (square * square * grazing));
-  const vf fade = t.front ? seen_from_outside(t, row, facing) : all(1.f);
   for (int i = 0; i < 3; i++) rgb[i] = fade * (rgb[i] + shine * lobes[i]);
   store_triples(t.rgb + 3 * row, rgb[0], rgb[1], rgb[2]);
 }

@@ -56,6 +56,8 @@ struct LearnedTask {
   float* matt;                  // (blocks, 6, 16): unit normal and matt color, for the gloss; null: nothing is glossy
   float* rgb;                   // (16 blocks, 3)
   float* front;                 // (16 blocks): how much it is seen from outside, see RasterJob; null: nobody asks
+  const float* hidden_from;     // (16 blocks): cosine to the eye up to which it is not drawn, as skin before it hides it;
+                                // null: all is drawn
   float out_bias[6];
   float reach[2];               // of offset and shade
   float eye[3];
@@ -113,7 +115,8 @@ JG_INLINE vf dot(const vf a[3], const vf b[3]) { return a[0] * b[0] + a[1] * b[1
 // Skin that faces away is seen through gaps only: in back light it would shine through them. `facing`: cosines to the eye
 JG_INLINE vf seen_from_outside(const LearnedTask& t, int64_t row, vf facing) {
   const vf fade = smooth((facing - AWAY_FROM) / AWAY_WIDTH);
-  if (t.front) store(t.front + row, fade);
+  const vf drawn = t.hidden_from ? select(facing > load(t.hidden_from + row), fade, all(-1.f)) : fade;
+  if (t.front) store(t.front + row, drawn);
   return fade;
 }
 

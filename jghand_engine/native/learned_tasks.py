@@ -44,7 +44,7 @@ class LearnedTask(ctypes.Structure):
         ("scene", _P),
         *((name, _P) for name in ("look", "given", "direction", "constant", "numbers", "places", "features")),
         *((name, _P) for name in ("middle", "middle_bias", "out", "nearest", "share", "irradiance", "lobe")),
-        *((name, _P) for name in ("matt", "rgb", "front")),
+        *((name, _P) for name in ("matt", "rgb", "front", "hidden_from")),
         ("out_bias", _F32 * 6),
         ("reach", _F32 * 2),
         ("eye", _F32 * 3),

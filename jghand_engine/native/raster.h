@@ -57,8 +57,9 @@ struct RasterJob {
   const float* rgb;       // (count, 3)
   const float* front;     // (count) part of it that is seen from outside, by which rgb is multiplied already: pixels get
                           // the color that these parts have, as if none were seen from inside, through gaps between
-                          // others, nor what stands beneath a layer; and outlines are sharper, see store_block. null:
-                          // all of all, as blended. There is no backward pass of such a picture
+                          // others, nor what stands beneath a layer; and outlines are sharper, see store_block.
+                          // Below 0: it is not drawn. null: all of all, as blended. There is no backward pass of such
+                          // a picture
   const float* layer;       // (layers, count, 4) colors that are drawn beside rgb, in the same way, where there is a `front`
   float* layer_planes;      // (layers, 4, height, width) of these
   // scratch that forward leaves for backward

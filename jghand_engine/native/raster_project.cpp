@@ -89,7 +89,7 @@ void project_range(const RasterJob& job, int32_t part) {
     const vi present = first_lanes(n), valid = valid_input(in) & valid_shapes(shapes), in_front = p.z > job.z_near;
     const vi sized = (p.a < VAR_MAX_PX2) & (p.c < VAR_MAX_PX2);
     const vi on_picture = (u + rx > 0) & (u - rx < (float)job.width) & (v + ry > 0) & (v - ry < (float)job.height);
-    const vi seen = present & valid & in_front & sized & (k > 0) & on_picture;
+    const vi seen = present & valid & in_front & sized & (k > 0) & on_picture & (in.front >= 0);
     summary.invalid += __builtin_popcount(bit_mask(present & (~valid | (in_front & ~sized))));
 
     store_records(job.records + i, n, p, in, u, v, log2_opacity, reach * (max(p.a, p.c) + abs(p.b)));

@@ -76,8 +76,8 @@ class GaussianArrays:
     """position_m (N, 3), sigma_m (N,), opacity (N,), rgb (N, 3): contiguous float32, meters, colors 0..1.
 
     covariance_m2: (N, 6) xx, xy, xz, yy, yz, zz in the frame of the positions; then sigma_m is not looked at.
-    front:         (N,) 0..1 part of each that is seen from outside, see native/raster.h; None: all of all. There is no
-                   backward pass with it
+    front:         (N,) 0..1 part of each that is seen from outside, below 0 where it is not drawn, see native/raster.h;
+                   None: all of all. There is no backward pass with it
     pixel_m:       of the pictures that they were learned from: see `learn.gaussians.Gaussians`
     layers:        (L, N, 4) colors that are drawn beside rgb in the same way, where there is a `front`; None: none
     """

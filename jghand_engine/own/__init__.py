@@ -7,7 +7,7 @@ checks  what is wrong with a film, in sentences
 chain   the bones whose lengths are sought, in torch
 shape   what hands differ in beyond their bones: a basis, and an avatar in a shape
 hand_fit     bones, thickness and motion that explain the film: by the detector alone, then by pictures
-fit_terms    what that weighs beside pictures · fit_views, fit_surface, fit_colors, fit_pictures: what it draws
+fit_terms    what that weighs beside pictures · fit_views, fit_surface, fit_colors: what it draws
 exact   the motion of all pictures, by the hand that the best ones gave
 gather  what each picture shows of every Gaussian
 light_and_skin  the light of the film, and the albedo of what was seen: the avatar

@@ -174,7 +174,8 @@ class NativeDetail:
 
     def hits(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """Of the pose that stands and one hand: see `SurfaceHits`. The camera is of the origin of the positions."""
-        row, near = (np.empty((camera.height, camera.width), dtype) for dtype in (np.int32, np.float32))
+        shape = (camera.height, camera.width)
+        row, near = np.empty(shape, np.int32), np.empty(shape, np.float32)
         self._nearest(camera, shared_pool(0), row, near)
         face = np.where(row < 0, -1, self._hands[0].face_of_row[row])
         with np.errstate(divide="ignore"):
@@ -183,8 +184,8 @@ class NativeDetail:
 
     def surfaces(self, camera: Camera, hand: int, pool: WorkerPool, near: np.ndarray) -> np.ndarray:
         """Of the pose that stands: fills near (H, W) float32 with how near the nearest surface is, from within, too,
-        1/z or, of parallel rays, -z, and where nothing is, below all; returns (3, rows) x, y and near of the vertices of
-        one hand, until the next image. The camera is of the origin of the positions."""
+        1/z or, of parallel rays, -z, and where nothing is, below all; returns (3, rows) x, y and near of the vertices
+        of one hand, until the next image. The camera is of the origin of the positions."""
         if self._faces is None or self._faces.shape != near.shape:
             self._faces = np.empty(near.shape, np.int32)
         self._nearest(camera, pool, self._faces, near, from_within=True)

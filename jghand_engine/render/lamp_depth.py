@@ -97,7 +97,7 @@ class LampPictures:
         layers:   numbers of the lamps whose light is drawn apart
         """
         self._vertices = []
-        return [
+        taken = [
             {
                 number: self._picture(
                     hand,
@@ -114,6 +114,9 @@ class LampPictures:
             }
             for hand, (one, scale) in enumerate(zip(sharp, scales, strict=True))
         ]
+        # of lamps that are there no more
+        del self._near[len(self._vertices) :]
+        return taken
 
     def _picture(
         self,

@@ -28,7 +28,7 @@ class RenderSettings:
     """How an image is made.
 
     gaussians:         how many of the avatar's Gaussians: a prefix; 0 = all
-    alpha_min, t_stop: cut-offs of the blend
+    alpha_min, t_stop: cut-offs of the blend; of hands in known light a pixel ends once it is covered, whatever t_stop
     shadow, shadow_samples: the self-shadow pass
     outline_px:        how far corners of a surface that ends a hand may be from the round outline of a finger, at the
                        depth of the wrist, before its faces are made finer

@@ -103,6 +103,11 @@ def test_lpips_names_what_a_trunk_lacks(alex):
         perceptual.lpips_of(trunk, heads, "vgg")
 
 
+def test_pictures_that_no_network_can_halve_are_refused(alex):
+    with pytest.raises(InputError, match="at least 32"):
+        perceptual.lpips_of(*alex, "alex").distance(picture(31), picture(31))
+
+
 def test_a_file_of_something_else_than_tensors_is_refused(tmp_path):
     torch.save([torch.zeros(2)], tmp_path / "list.pth")
     with pytest.raises(InputError, match="named tensors"):

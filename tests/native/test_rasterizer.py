@@ -160,6 +160,21 @@ def test_what_is_covered_depends_on_nothing_beneath():
     assert np.allclose(alone[4, covered], 0.3, atol=1e-4)
 
 
+def test_what_skin_hides_is_not_drawn():
+    arrays, view = hand_arrays(2000), view_for(80, 50)
+    front = np.random.default_rng(0).choice(np.array([-1, 0.3, 1], np.float32), 2000)
+    arrays = replace(arrays, rgb=arrays.rgb * front.clip(0)[:, None])
+    drawn = rasterizer().forward(replace(arrays, front=front), view).copy()
+    kept = GaussianArrays(*(getattr(arrays, name)[front >= 0] for name in ("position_m", "sigma_m", "opacity", "rgb")))
+    assert np.array_equal(drawn, rasterizer().forward(replace(kept, front=front[front >= 0]), view))
+    hand = replace(
+        hand_gaussians(2000, sigma_mm=(1, 2)), rgb=torch.from_numpy(arrays.rgb), front=torch.from_numpy(front)
+    )
+    exact = planes_of(rasterize_reference(in_precision(hand, torch.float64), camera_for(80, 50))).numpy()
+    # a contribution at the cut may fall on either side of it
+    assert np.quantile(np.abs(drawn - exact), 0.999) < 1e-5
+
+
 def test_what_is_little_seen_from_outside_has_its_color_and_what_is_not_is_black():
     color, view = np.array([[0.8, 0.5, 0.4]], np.float32), View(5, 5, 300.0, 300.0, 2.5, 2.5, np.eye(3, 4))
     one = np.ones(1, np.float32)

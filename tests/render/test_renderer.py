@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from jghand_engine.avatar import avatar as avatar_module
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.posing import Posing
@@ -24,6 +25,7 @@ from jghand_engine.native import library as native_library
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import Decision, Effect
 from jghand_engine.render.effects import REUSE_SKIN_M, reusable
+from jghand_engine.render.framing import framing_camera
 from jghand_engine.render.hand_facts import HandFacts
 from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode, preset
@@ -172,6 +174,20 @@ def decision(frame: Frame, effect: Effect) -> Decision:
 
 def bound(frame: Frame) -> str:
     return decision(frame, Effect.SKIN).bound
+
+
+def test_skin_that_faces_away_is_neither_drawn_nor_missed(monkeypatch):
+    hand = load_builtin(handedness=Handedness.RIGHT)
+    joints_m = named_pose("fist", hand.rest_joints_m, handedness=Handedness.RIGHT)
+    view = framing_camera(joints_m[None], Handedness.RIGHT, "front", width=334, height=512)
+    drawn = HandRenderer(hand, preset("viewport")).render(joints_m, view)
+    monkeypatch.setattr(avatar_module, "HIDDEN_FROM", -2)
+    whole = HandRenderer(hand, preset("viewport")).render(joints_m, view)
+    assert drawn.report.visible_gaussians < 0.7 * whole.report.visible_gaussians
+    difference = np.abs(drawn.rgba - whole.rgba).max(-1)
+    # observed 1.1e-5, and 14 pixels
+    assert difference.mean() < 2e-5
+    assert (difference > 0.02).sum() < 20
 
 
 @pytest.mark.parametrize("in_scene", [False, True])

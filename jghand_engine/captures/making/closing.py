@@ -1,7 +1,8 @@
 """Poses whose skin touches: fingers on the palm and side by side, the thumb on the fingers or at their tips.
 
 What nearly touches is brought to touch, and what is inside other skin comes out: by the distances of the skin, because
-bones say too little of how thick fingers are. What touches is pressed a little, as skin gives way. SKIN, Poses closed by skin.
+bones say too little of how thick fingers are. What touches is pressed a little, as skin gives way (SKIN, Poses closed
+by skin).
 """
 
 from __future__ import annotations
