@@ -26,7 +26,7 @@ DEEP_RADII = 1.8
 UVD_RANGE_M = 0.010
 # how identifiers of templates with a forearm end, and where that goes from the wrist
 FOREARM_SUFFIX, FOREARM_WAY = "-forearm", np.array([0.1751, -0.9778, 0.1149])
-# cosine to the eye from which on skin is drawn: a third of the raster is saved, and pictures stay as they are. All is
+# cosine to the eye from which on skin is drawn: a fifth of the raster is saved, and pictures stay as they are. All is
 # drawn so far, meters, before its end (but for strays): few Gaussians lie there, whose gaps those of the far side close
 HIDDEN_FROM, END_M, END_STRAYS = -0.3, 0.05, 1e-3
 

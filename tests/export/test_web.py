@@ -253,6 +253,9 @@ def far_apart(folder: Path, avatar: HandAvatar, hand: Handedness = Handedness.RI
             scale["front"] = 1.0
         for name, unit in scale.items():
             exact = getattr(wanted, name).numpy()[order].reshape(count, -1)
+            if name == "front":
+                # the page draws skin that others hide, too
+                exact = exact.clip(0)
             off = float((np.abs(found[name][frame, :count] - exact) / unit).max())
             worst[name] = max(worst.get(name, 0.0), off)
     return worst

@@ -111,7 +111,7 @@ export class Splats extends THREE.Mesh {
       colors[4 * i] = rgb[3 * i];
       colors[4 * i + 1] = rgb[3 * i + 1];
       colors[4 * i + 2] = rgb[3 * i + 2];
-      colors[4 * i + 3] = front ? Math.max(front[i], 0) : 1;
+      colors[4 * i + 3] = front ? front[i] : 1;
     }
     this.tables.colors.needsUpdate = true;
   }
