@@ -26,9 +26,6 @@ DEEP_RADII = 1.8
 UVD_RANGE_M = 0.010
 # how identifiers of templates with a forearm end, and where that goes from the wrist
 FOREARM_SUFFIX, FOREARM_WAY = "-forearm", np.array([0.1751, -0.9778, 0.1149])
-# cosine to the eye from which on skin is drawn: a fifth of the raster is saved, and pictures stay as they are. All is
-# drawn so far, meters, before its end (but for strays): few Gaussians lie there, whose gaps those of the far side close
-HIDDEN_FROM, END_M, END_STRAYS = -0.3, 0.05, 1e-3
 
 
 @dataclass(frozen=True)
@@ -177,14 +174,6 @@ class HandAvatar:
 def forearm_way(template: str) -> np.ndarray | None:
     """(3,) from the wrist along the forearm of a template by its identifier; None for one without."""
     return FOREARM_WAY if template.endswith(FOREARM_SUFFIX) else None
-
-
-def hidden_from(position_m: np.ndarray, opacity: np.ndarray) -> np.ndarray:
-    """(N,) float32 cosines to the eye up to which skin that faces away is not drawn, as skin before it hides it, of
-    canonical places (N, 3), meters. opacity: (N,), 0 behind the end of the hand"""
-    along_m = position_m @ FOREARM_WAY
-    end_m = np.quantile(along_m[opacity > 0], 1 - END_STRAYS) if (opacity > 0).any() else 0.0
-    return np.where(along_m > end_m - END_M, -2, HIDDEN_FROM).astype(np.float32)
 
 
 def with_slices(position_m: np.ndarray, bone_weights: np.ndarray, root_m: np.ndarray) -> np.ndarray:

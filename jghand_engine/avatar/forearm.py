@@ -25,6 +25,9 @@ BEYOND_M = 0.012
 # deep as Gaussians are under the skin, and is not seen at all
 WRIST_WAY, WRIST_CUT_M = np.array([-0.0788, 0.9616, 0.2629]), -0.0031
 WRIST_FADE_M = (0.003, 0.015)
+# cosine to the eye from which on skin is drawn: a fifth of the raster is saved, and pictures stay as they are. All is
+# drawn so far, meters, before its end: few Gaussians lie there, whose gaps those of the far side close
+HIDDEN_FROM, OPEN_M = -0.3, 0.05
 # about so many Gaussians lie over one another in a hand's skin: each fades sooner, so that all together fade evenly
 LAYERS = 6
 
@@ -49,6 +52,14 @@ def ended(avatar: HandAvatar, *, forearm: bool = True) -> HandAvatar:
         stays = (whole > 0)[detail.faces].any(1)
         detail = replace(detail, faces=detail.faces[stays], face_uv=detail.face_uv[stays], whole=whole)
     return replace(avatar, opacity=opacity, detail=detail)
+
+
+def hidden_from(position_m: np.ndarray, opacity: np.ndarray) -> np.ndarray:
+    """(N,) float32 cosines to the eye up to which skin that faces away is not drawn, as skin before it hides it, of
+    canonical places (N, 3), meters. opacity: (N,), 0 behind the end of the hand"""
+    along_m = position_m @ FOREARM_WAY
+    end_m = np.quantile(along_m[opacity > 0], 1 - STRAYS) if (opacity > 0).any() else 0.0
+    return np.where(along_m > end_m - OPEN_M, -2, HIDDEN_FROM).astype(np.float32)
 
 
 def _end_of(avatar: HandAvatar, *, forearm: bool) -> tuple[np.ndarray, float, tuple[float, float]] | None:

@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jghand_engine.avatar.avatar import HandAvatar, hidden_from
+from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks, set_pointers
 from jghand_engine.avatar.cast_task import Capsules, CastStep
 from jghand_engine.avatar.corrective_task import corrective_step
+from jghand_engine.avatar.forearm import hidden_from
 from jghand_engine.avatar.lamp_rows import LIMITS, Limits
 from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, Learned, anchors_around
 from jghand_engine.avatar.relighting import in_studio, relightable
@@ -257,7 +258,8 @@ class _Light:
         self.task, self.reflects, self._rows = learned_task(learned, avatar.handedness), learned.reflects, blocks.rows
         self._fades = learned.fades
         self._arrays = learned_arrays(avatar, learned, blocks)
-        self._arrays["hidden_from"] = blocks.in_rows(hidden_from(avatar.position_m, avatar.opacity))
+        if self._fades:
+            self._arrays["hidden_from"] = blocks.in_rows(hidden_from(avatar.position_m, avatar.opacity))
         set_pointers(self.task, self._arrays)
         self.task.lobes = len(self._arrays["lobe"])
         self._correctives = corrective_step(learned.correctives, avatar, blocks, self.task)

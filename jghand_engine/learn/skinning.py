@@ -11,8 +11,9 @@ from typing import Protocol
 
 import torch
 
-from jghand_engine.avatar.avatar import HandAvatar, hidden_from, with_slices
+from jghand_engine.avatar.avatar import HandAvatar, with_slices
 from jghand_engine.avatar.cast_task import Capsules
+from jghand_engine.avatar.forearm import hidden_from
 from jghand_engine.avatar.learned import Ellipsoid
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN
 from jghand_engine.errors import InputError

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from jghand_engine.avatar import avatar as avatar_module
+from jghand_engine.avatar import forearm
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.posing import Posing
@@ -181,7 +181,7 @@ def test_skin_that_faces_away_is_neither_drawn_nor_missed(monkeypatch):
     joints_m = named_pose("fist", hand.rest_joints_m, handedness=Handedness.RIGHT)
     view = framing_camera(joints_m[None], Handedness.RIGHT, "front", width=334, height=512)
     drawn = HandRenderer(hand, preset("viewport")).render(joints_m, view)
-    monkeypatch.setattr(avatar_module, "HIDDEN_FROM", -2)
+    monkeypatch.setattr(forearm, "HIDDEN_FROM", -2)
     whole = HandRenderer(hand, preset("viewport")).render(joints_m, view)
     assert drawn.report.visible_gaussians < 0.7 * whole.report.visible_gaussians
     difference = np.abs(drawn.rgba - whole.rgba).max(-1)
