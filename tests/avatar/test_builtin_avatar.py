@@ -1,6 +1,7 @@
 """The avatar that is shipped: right numbers, and a skin that is closed from every side in every level of detail."""
 
 import hashlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -127,7 +128,13 @@ def test_the_trained_avatar_answers_any_light_and_has_its_angles_and_its_license
     assert avatar.info.learned_from is not None
     assert avatar.info.learned_from.pictures == 348
     assert "CC0-1.0" in avatar.info.license
-    assert (ASSETS / "builtin_right.jghand").stat().st_size < 12e6
+
+
+def test_every_hand_that_comes_with_jghand_takes_at_most_eight_megabytes():
+    sizes = {path.name: path.stat().st_size for path in Path(str(ASSETS)).rglob("*.jghand")}
+    assert {"builtin_right.jghand", "painted_right.jghand", "strong.jghand"} <= set(sizes)
+    # observed 7.9e6, of the strong hand
+    assert max(sizes.values()) <= 8e6, sizes
 
 
 def test_the_trained_avatar_is_drawn_by_its_quick_tier_and_loses_nothing_that_counts():
