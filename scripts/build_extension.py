@@ -32,10 +32,15 @@ from bundled_engine import PLATFORMS, BundleError
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "blender_addon"
 MANIFEST = "blender_manifest.toml"
-# what lies elsewhere in the project and at these places in the zip
+# what lies elsewhere in the project and at these places in the zip; what `shared` has of the engine imports one another
+_SHARED = (
+    *("errors.py", "hand/__init__.py"),
+    *(f"hand/{name}.py" for name in ("joints", "rotations", "canonical", "kinematics", "shapes")),
+)
 FROM_ELSEWHERE = {
     "assets/hand_right.npz": ROOT / "jghand_engine" / "assets" / "hand_right.npz",
     "core/conventions.py": ROOT / "jghand_engine" / "motion" / "conventions.py",
+    **{f"core/shared/{name}": ROOT / "jghand_engine" / name for name in _SHARED},
     "core/protocol.py": ROOT / "jghand_engine" / "service" / "protocol.py",
     "LICENSE-MIT": ROOT / "LICENSE",  # of these files
 }

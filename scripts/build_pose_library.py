@@ -5,8 +5,8 @@
     .envs/blender/bin/python scripts/build_pose_library.py [--out FOLDER] [--engine PYTHON]
 
 Runs in a Python that has bpy 5.0; Blender 4.5 to 5.2 read what it writes. Run it again when a pose changes in
-blender_addon/assets/poses.json (`scripts/build_pose_table.py`); a test compares the two. The folder gets one .blend
-file with pose assets for both hands, with pictures that the engine renders, and Blender's catalog file beside it.
+jghand_engine/hand/shapes.py; a test compares the two. The folder gets one .blend file with pose assets for both hands,
+solved for the built-in one, with pictures that the engine renders, and Blender's catalog file beside it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from build_pose_table import joints_of
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -44,8 +43,8 @@ CATALOGS = {
 
 def rendered_poses(engine: Path) -> dict[str, np.ndarray]:
     """Name of a pose -> (H, W, 4) float32 RGBA of the right hand, bottom row first, as the engine renders it."""
-    named = poses.all_poses(RIGHT)
-    joints_m = np.stack([joints_of(pose) for pose in named])
+    named = poses.ALL_POSES
+    joints_m = np.stack([poses.joints_on(pose.name, posing.rest_joints_m(RIGHT), RIGHT) for pose in named])
     with tempfile.TemporaryDirectory() as scratch:
         motion, frames = Path(scratch) / "poses.npz", Path(scratch) / "frames"
         write_motion(motion, MotionFile(joints_m, fps=1.0, handedness=RIGHT))
@@ -65,9 +64,9 @@ def _pixels(path: Path) -> np.ndarray:
     return pixels
 
 
-def asset_of(pose: NamedPose, picture: np.ndarray) -> bpy.types.Action:
+def asset_of(pose: NamedPose, side: str, picture: np.ndarray) -> bpy.types.Action:
     """An action of one frame with what the pose says, marked as an asset."""
-    action = bpy.data.actions.new(pose.title)
+    action = bpy.data.actions.new(pose.title(side))
     slot = action.slots.new("OBJECT", "Hand")
     bag = action.layers.new("Layer").strips.new(type="KEYFRAME").channelbag(slot, ensure=True)
 
@@ -76,11 +75,12 @@ def asset_of(pose: NamedPose, picture: np.ndarray) -> bpy.types.Action:
         curve.group = bag.groups.get(bone) or bag.groups.new(bone)
         curve.keyframe_points.insert(1.0, value)
 
-    for bone, turn in pose.turns.items():
+    rest_m = posing.rest_joints_m(side)
+    fingers = poses.pose_on(pose.name, posing.rest_matrices(rest_m, side), side)
+    for bone, turn in fingers.turns.items():
         for index, part in enumerate(turn):
             key(bone, "rotation_quaternion", index, part)
-    rest_m = posing.rest_joints_m(pose.handedness)
-    for bone, way in pose.knuckles.items():
+    for bone, way in fingers.knuckles.items():
         for index, part in enumerate(way):
             key(bone, "location", index, part * float(np.linalg.norm(rest_m[NAMES.index(bone)])))
     # a pose is what is seen: controls go back to neutral where there are any
@@ -89,11 +89,11 @@ def asset_of(pose: NamedPose, picture: np.ndarray) -> bpy.types.Action:
             key(bone, "rotation_euler", index, 0.0)
     action.asset_mark()
     data = action.asset_data
-    data.catalog_id = CATALOGS[pose.handedness, pose.kind][0]
-    data.description = pose.description or f"{pose.name.replace('_', ' ').capitalize()}, {pose.handedness} hand"
+    data.catalog_id = CATALOGS[side, pose.kind][0]
+    data.description = pose.description or f"{pose.name.replace('_', ' ').capitalize()}, {side} hand"
     data.author = "The JGHand authors"
     data.license = "GPL-3.0-or-later"
-    for tag in ("hand", pose.handedness, *(("ASL",) if pose.kind == poses.LETTER else ())):
+    for tag in ("hand", side, *(("ASL",) if pose.kind == poses.LETTER else ())):
         data.tags.new(tag, skip_if_exists=True)
     preview = action.preview_ensure()
     preview.image_size = (picture.shape[1], picture.shape[0])
@@ -118,9 +118,9 @@ def main() -> int:
     pictures = rendered_poses(options.engine)
     made = set()
     for side in HANDEDNESSES:
-        for pose in poses.all_poses(side):
+        for pose in poses.ALL_POSES:
             picture = pictures[pose.name]
-            made.add(asset_of(pose, picture[:, ::-1] if side == LEFT else picture))
+            made.add(asset_of(pose, side, picture[:, ::-1] if side == LEFT else picture))
     out = options.out.resolve()
     out.mkdir(parents=True, exist_ok=True)
     path = out / pose_library.BLEND

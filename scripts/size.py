@@ -132,10 +132,12 @@ def imported(path: Path, modules: dict[str, Path]) -> Iterator[str]:
         waiting += ast.iter_child_nodes(node)
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in modules)
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            inner = [f"{node.module}.{alias.name}" for alias in node.names]
-            if any(name not in modules for name in inner) and node.module in modules:
-                yield node.module
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            above = module_name(path).split(".")[: -node.level] if node.level else []
+            module = ".".join([*above, node.module])
+            inner = [f"{module}.{alias.name}" for alias in node.names]
+            if any(name not in modules for name in inner) and module in modules:
+                yield module
             yield from (name for name in inner if name in modules)
 
 

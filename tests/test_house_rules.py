@@ -44,6 +44,11 @@ WITHOUT_TORCH = ("avatar", "export", "gpu", "hand", "motion", "native", "render"
 LEARNING_ONLY = ("torch", "scipy", "trimesh")
 NEVER_IMPORTED = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "torchvision"}
 SHARED_MODULES = ("jghand_engine.motion.conventions", "jghand_engine.service.protocol")
+# what Blender's own process has of the hand, copied into the extension with what it imports
+SHARED_HAND = (
+    "jghand_engine.errors",
+    *(f"jghand_engine.hand.{name}" for name in ("joints", "rotations", "canonical", "kinematics", "shapes")),
+)
 
 
 def python_files(*folders: Path) -> list[Path]:
@@ -60,13 +65,16 @@ def tree_of(path: Path) -> ast.Module:
 
 
 def imports(path: Path) -> Iterator[tuple[str, int]]:
-    """Every absolute module name that a file imports, wherever it stands, with its line."""
+    """Every absolute module name that a file imports, wherever it stands, with its line; those of the engine also
+    where it is named relatively."""
     for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
-            yield node.module, node.lineno
-            yield from ((f"{node.module}.{alias.name}", node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and (not node.level or path.is_relative_to(ENGINE)):
+            above = path.relative_to(ROOT).parts[: -node.level] if node.level else ()
+            module = ".".join([*above, node.module])
+            yield module, node.lineno
+            yield from ((f"{module}.{alias.name}", node.lineno) for alias in node.names)
 
 
 def room(module: str) -> int | None:
@@ -132,8 +140,8 @@ def test_the_extension_knows_nothing_of_the_engine_but_what_they_share():
         if module.split(".")[0] == "torch"
         or (
             module.split(".")[0] == "jghand_engine"
-            and not module.startswith(SHARED_MODULES)
-            and module not in {shared.rpartition(".")[0] for shared in SHARED_MODULES}
+            and not module.startswith((*SHARED_MODULES, *SHARED_HAND))
+            and module not in {shared.rpartition(".")[0] for shared in (*SHARED_MODULES, *SHARED_HAND)}
         )
     )
 
@@ -169,6 +177,15 @@ def test_what_is_shared_needs_nothing_but_the_standard_library():
         for shared in SHARED_MODULES
         for module, line in imports(ROOT / (shared.replace(".", "/") + ".py"))
         if module.split(".")[0] not in sys.stdlib_module_names
+    )
+
+
+def test_what_blender_has_of_the_hand_needs_numpy_and_itself_alone():
+    offences(
+        f"{shared}:{line} imports {module}"
+        for shared in SHARED_HAND
+        for module, line in imports(ROOT / (shared.replace(".", "/") + ".py"))
+        if module.split(".")[0] not in {"numpy", *sys.stdlib_module_names} and not module.startswith(SHARED_HAND)
     )
 
 

@@ -23,7 +23,7 @@ CURL_FULL_DEG, CURL_BACK_DEG, SPREAD_FULL_DEG = 90.0, 20.0, 25.0
 # what a full splay spreads of each finger, thumb first: the engine's pose "spread", the little finger counts one
 SPLAY_PARTS = (0.8, 0.75, 0.0, 0.65, 1.0)
 # lowest and highest angle of a joint, degrees: flexion and spread of the first bone, flexion of the second and third;
-# thumb (from its rest), fingers (from straight). The same as the engine's `hand.poses.RANGES_DEG`; a test compares
+# thumb (from its rest), fingers (from straight). The same as the engine's `hand.kinematics.RANGES_DEG`; a test compares
 JOINT_RANGES_DEG = (
     ((-15.0, 45.0), (-15.0, 35.0), (-10.0, 55.0), (-15.0, 85.0)),
     ((-25.0, 92.0), (-22.0, 25.0), (-5.0, 112.0), (-8.0, 82.0)),

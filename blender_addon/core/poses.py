@@ -1,80 +1,90 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hand poses with names: turns of the finger bones from the rest pose, and how far knuckles draw together; the same
-table for both hands.
+"""Hand poses with names, on any hand: turns of its finger bones from the rest pose, and how far knuckles draw together.
 
-`assets/poses.json` holds the right hand, made from the engine's named poses by `scripts/build_pose_table.py`. A left
-hand's bones have the mirrored axes (`posing`), so that a turn (w, x, y, z) becomes (w, x, -y, -z) and a way (x, y, z)
-becomes (-x, y, z).
+Angles, and how fingers close for each hand, are the engine's (`hand.shapes` and `hand.kinematics`, which every package
+of the extension carries). Those are of right hands; a left one is posed as its mirror image.
 """
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 
-from .joints import LEFT
+from . import kinematics, posing, shapes
+from .joints import KNUCKLES, LEFT, NAMES, TIPS, WRIST
 
-TABLE = Path(__file__).resolve().parents[1] / "assets" / "poses.json"
 # kinds
 POSE, LETTER = "pose", "letter"
-_TURN_MIRROR, _WAY_MIRROR = np.array([1.0, 1.0, -1.0, -1.0]), np.array([-1.0, 1.0, 1.0])
+# the engine's order of the joints: all fingers' first ones, all second ones
+_LEVEL = np.array([WRIST, *(first + level for level in range(4) for first in KNUCKLES)])
+_MIRROR = np.array([-1.0, 1.0, 1.0])
+_LETTER_NAME = "ASL {}"
 
 
 @dataclass(frozen=True)
 class NamedPose:
-    """A pose of the bones, each in its own axes, relative to the rest pose.
-
-    kind:     POSE or LETTER
-    turns:    bone -> (w, x, y, z); 15 bones
-    knuckles: first bone of index to pinky -> (x, y, z) that it moves, as parts of its distance from the wrist at rest
-    """
+    """What menus and libraries say of a pose."""
 
     name: str
     kind: str
     description: str
-    handedness: str
-    turns: dict[str, tuple[float, ...]]
-    knuckles: dict[str, tuple[float, ...]]
 
     @property
     def label(self) -> str:
         """What menus call it."""
         return self.name if self.kind == LETTER else self.name.replace("_", " ").capitalize()
 
-    @property
-    def title(self) -> str:
+    def title(self, handedness: str) -> str:
         """What the library calls it; both hands lie in one file, so the hand is part of the name."""
-        return f"{self.label} ({self.handedness})"
+        return f"{self.label} ({handedness})"
 
 
-def all_poses(handedness: str) -> tuple[NamedPose, ...]:
-    """Every pose of the table for one hand."""
-    turn_mirror, way_mirror = (_TURN_MIRROR, _WAY_MIRROR) if handedness == LEFT else (np.ones(4), np.ones(3))
-    return tuple(
-        NamedPose(
-            entry["name"],
-            entry["kind"],
-            entry["description"],
-            handedness,
-            {bone: _numbers(turn_mirror * turn) for bone, turn in entry["bones"].items()},
-            {bone: _numbers(way_mirror * way) for bone, way in entry["knuckles"].items()},
-        )
-        for entry in _entries()
+@dataclass(frozen=True)
+class PosedFingers:
+    """A pose of the bones of one hand, each in its own axes, relative to the rest pose.
+
+    turns:    bone -> (w, x, y, z); 15 bones
+    knuckles: first bone of index to pinky -> (x, y, z) that it moves, as parts of its distance from the wrist at rest
+    """
+
+    handedness: str
+    turns: dict[str, tuple[float, ...]]
+    knuckles: dict[str, tuple[float, ...]]
+
+
+def _letter(letter: str) -> NamedPose:
+    same = " and ".join(sorted(other for other, shape in shapes.SAME_SHAPE.items() if shape == letter))
+    title = f"Hand shape of {letter}{f', also of {same},' if same else ''} in the American manual alphabet"
+    return NamedPose(_LETTER_NAME.format(letter), LETTER, title)
+
+
+ALL_POSES = (*(NamedPose(name, POSE, "") for name in shapes.POSES_DEG), *map(_letter, shapes.LETTERS_DEG))
+_LETTERS = {_LETTER_NAME.format(letter): letter for letter in shapes.LETTERS_DEG}
+
+
+def joints_on(name: str, rest: np.ndarray, handedness: str) -> np.ndarray:
+    """(21, 3) joints of a pose of the hand with these (21, 3) joints at rest, in their space and unit: fingers are bent
+    until they touch the palm, the thumb until it touches them. shapes.InputError: joints that are no hand's."""
+    mirror = _MIRROR if handedness == LEFT else np.ones(3)
+    hand = kinematics.ArchingHand((rest * mirror)[_LEVEL])
+    letter = _LETTERS.get(name)
+    angles = shapes.angles_on(hand, name) if letter is None else shapes.letter_angles_on(hand, letter)
+    return hand.joints(angles[None])[0][np.argsort(_LEVEL)] * mirror
+
+
+def pose_on(name: str, rest: np.ndarray, handedness: str) -> PosedFingers:
+    """A pose of the hand with these (21, 4, 4) rest matrices."""
+    try:
+        joints = joints_on(name, rest[:, :3, 3], handedness)
+    except shapes.InputError:  # somebody bent it out of shape at rest: turned as the built-in hand is
+        rest = posing.rest_matrices(posing.rest_joints_m(handedness), handedness)
+        joints = joints_on(name, rest[:, :3, 3], handedness)
+    keys = posing.bone_keys(joints[None], rest, handedness, still_wrist=True)
+    moving = [place for place in range(len(NAMES)) if place != WRIST and place not in TIPS]
+    size = np.linalg.norm(rest[:, :3, 3] - rest[WRIST, :3, 3], axis=-1)
+    return PosedFingers(
+        handedness,
+        {NAMES[place]: tuple(map(float, keys.quaternion[0, place])) for place in moving},
+        {NAMES[place]: tuple(map(float, keys.location[0, place] / size[place])) for place in KNUCKLES[1:]},
     )
-
-
-def _numbers(array: np.ndarray) -> tuple[float, ...]:
-    return tuple(map(float, array))
-
-
-def pose_named(name: str, handedness: str) -> NamedPose:
-    return next(pose for pose in all_poses(handedness) if pose.name == name)
-
-
-@cache
-def _entries() -> list[dict]:
-    return json.loads(TABLE.read_text(encoding="utf-8"))["poses"]

@@ -79,7 +79,7 @@ class ApplyPose(_Posing, bpy.types.Operator):
         return f"{said}.\n{cls.bl_description}" if said else cls.bl_description
 
     def pose_one(self, _context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
-        pose = poses.pose_named(self.pose, armature.handedness_of(hand))
+        pose = poses.pose_on(self.pose, armature.rest_matrices_of(hand), armature.handedness_of(hand))
         return hand_poses.take_pose(hand, pose, self.part, hand_poses.chosen_part(hand))
 
 
@@ -123,7 +123,10 @@ class ResetPose(_Posing, bpy.types.Operator):
 class InstallPoseLibrary(Reporting, bpy.types.Operator):
     bl_idname = "jghand.make_pose_assets"
     bl_label = "Install Pose Library"
-    bl_description = "Add JGHand's hand poses to your asset libraries, so that Blender's asset shelf shows them"
+    bl_description = (
+        "Add JGHand's hand poses to your asset libraries, so that Blender's asset shelf shows them. They fit the "
+        "built-in hand; Apply Pose closes fists and pinches on any hand"
+    )
     bl_options = REGISTERED
 
     def run(self, context: bpy.types.Context) -> None:

@@ -8,8 +8,8 @@ import bpy
 from .. import ui
 from ..core import panel_text
 from ..core.controls import CURL_BACK_DEG, CURL_FULL_DEG, FINGER_CONTROLS, HAND_CONTROL, SPREAD_FULL_DEG
-from ..core.joints import FINGERS, NAMES, RIGHT
-from ..core.poses import LETTER, POSE, all_poses
+from ..core.joints import FINGERS, NAMES
+from ..core.poses import ALL_POSES, LETTER, POSE
 from ..errors import JGHandFailure
 from ..render import ENGINE, scene_light
 from ..renderer import runtime
@@ -268,7 +268,7 @@ class LetterMenu(bpy.types.Menu):
 
 
 def _draw_poses(layout: bpy.types.UILayout, kind: str) -> None:
-    for pose in all_poses(RIGHT):
+    for pose in ALL_POSES:
         if pose.kind == kind:
             layout.operator("jghand.apply_pose", text=pose.label, translate=False).pose = pose.name
 

@@ -2,7 +2,8 @@
 """Whole poses of our armature: taking one, taking the other hand's, going back to rest, keying what was posed; and
 Blender's own asset shelf of them.
 
-Turns and ways of bones are mirrored on the other hand (`core.poses`); turns of the controls are the same on both.
+Turns (w, x, y, z) and ways (x, y, z) of bones are (w, x, -y, -z) and (-x, y, z) on the other hand, whose bones have
+mirrored axes (`core.posing`); turns of the controls are the same on both.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from .. import clock, ui, versions
 from ..core import controls as control_numbers
 from ..core.controls import CONTROLS, HAND_CONTROL
 from ..core.joints import FINGERS, NAMES, WRIST
-from ..core.poses import NamedPose
+from ..core.poses import PosedFingers
 from ..errors import JGHandFailure
 from . import armature, controls
 from .controls import Touched
@@ -69,7 +70,7 @@ def chosen_part(hand: bpy.types.Object) -> PosedPart:
 
 
 def take_pose(
-    hand: bpy.types.Object, pose: NamedPose, part: float = 1.0, only: PosedPart = WHOLE_HAND
+    hand: bpy.types.Object, pose: PosedFingers, part: float = 1.0, only: PosedPart = WHOLE_HAND
 ) -> list[Touched]:
     """Turns finger bones and moves knuckles as the pose says, and puts controls back to neutral; the wrist stays.
 

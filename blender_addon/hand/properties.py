@@ -15,7 +15,7 @@ import bpy.utils.previews
 
 from ..core import bone_maps, poses
 from ..core.bone_maps import JointSource
-from ..core.joints import FINGERS, RIGHT
+from ..core.joints import FINGERS
 from ..core.view import BUILTIN_AVATAR
 from ..versions import path_options
 from . import avatar_files, sources, stand_ins
@@ -34,10 +34,10 @@ ENDS = (
 OVERRIDABLE = {"LIBRARY_OVERRIDABLE"}
 FINGER_ITEMS = tuple((name, name.capitalize(), f"The {name} finger", "NONE", at) for at, name in enumerate(FINGERS))
 
-# the named poses; both hands have the same, and numbers are places in the table
+# the named poses; both hands have the same, and numbers are places in the list
 POSES = tuple(
     (pose.name, pose.label, pose.description or f"A hand pose: {pose.name.replace('_', ' ')}", "NONE", place)
-    for place, pose in enumerate(poses.all_poses(RIGHT))
+    for place, pose in enumerate(poses.ALL_POSES)
 )
 
 

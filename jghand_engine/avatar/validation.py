@@ -13,9 +13,10 @@ from jghand_engine.avatar.detail_correctives import NUMBERS
 from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, AVATAR_REACH_M, Learned
 from jghand_engine.avatar.scene_light import CELLS
 from jghand_engine.errors import InputError
+from jghand_engine.hand.canonical import CanonicalHand
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.orders import check_hand_size, check_order
-from jghand_engine.hand.skeleton import CanonicalHand, Swing, scale_exponent
+from jghand_engine.hand.skeleton import Swing, scale_exponent
 
 # more Gaussians are refused before anything is allocated
 AVATAR_MAX_GAUSSIANS = 1_000_000

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from jghand_engine.errors import InputError
+from ..errors import InputError
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 JOINT_COUNT = 21

@@ -15,8 +15,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from jghand_engine.hand.rotations import axis_rotation, unit
-from jghand_engine.hand.skeleton import CanonicalHand, euler_swing
+from .canonical import CanonicalHand, euler_swing
+from .rotations import axis_rotation, unit
 
 # lowest and highest angle, degrees; (5 fingers, 4 angles, 2)
 RANGES_DEG = np.array(

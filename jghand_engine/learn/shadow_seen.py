@@ -15,7 +15,8 @@ import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learned import ShadowLook
-from jghand_engine.hand.poses import named_pose, pose_names
+from jghand_engine.hand.poses import named_pose
+from jghand_engine.hand.shapes import pose_names
 from jghand_engine.learn.shadow import darken
 from jghand_engine.native.library import load
 from jghand_engine.render.camera import Camera

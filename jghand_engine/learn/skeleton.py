@@ -13,9 +13,10 @@ from torch import Tensor
 
 from jghand_engine.avatar.pose_range import angle_name
 from jghand_engine.errors import InputError
+from jghand_engine.hand.canonical import CanonicalHand
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import check_joint_shape
-from jghand_engine.hand.skeleton import SCALE_RATIO_MIN, CanonicalHand, ScaleMode, Swing, scale_exponent
+from jghand_engine.hand.skeleton import SCALE_RATIO_MIN, ScaleMode, Swing, scale_exponent
 from jghand_engine.hand.wrist import Wrist
 from jghand_engine.learn import rotations as rot
 from jghand_engine.learn.frames import CanonicalTensors, ComponentFrames, HandFrames, compute_frames

@@ -23,7 +23,8 @@ from jghand_engine.captures.captures import Capture
 from jghand_engine.captures.splits import Split
 from jghand_engine.color import decibels
 from jghand_engine.errors import InputError
-from jghand_engine.hand.poses import MotionOptions, pose_names, pose_sequence_of_names
+from jghand_engine.hand.poses import MotionOptions, pose_sequence_of_names
+from jghand_engine.hand.shapes import pose_names
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.evaluate import AvatarPicturer, categories_of, means, measure_pictures
 from jghand_engine.learn.pose_features import flat_angles

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from jghand_engine.hand.joints import PARENTS
-from jghand_engine.hand.poses import named_angles
+from jghand_engine.hand.shapes import named_angles
 from jghand_engine.own.masks import hand_size_px
 from jghand_engine.own.start import Start
 from jghand_engine.track.costs import REST_RAD

@@ -14,7 +14,8 @@ from jghand_engine.avatar.learned_storage import pack_learned
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.tiers import Distilled, Price, Tier
 from jghand_engine.errors import InputError
-from jghand_engine.hand.poses import named_pose, pose_names
+from jghand_engine.hand.poses import named_pose
+from jghand_engine.hand.shapes import pose_names
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.distill import distill, poses_near
 from jghand_engine.learn.pose_features import Angles, flat_angles

@@ -56,11 +56,16 @@ def main(archive: str) -> None:
         assert addon_utils.enable(name) is not None
     again = ours()
     protocol = importlib.import_module(f"{name}.core").protocol.__name__
+    bpy.context.scene.cursor.location = (5, 0, 0)  # beside the cube
+    bpy.ops.jghand.add_hand()
+    bpy.ops.jghand.apply_pose(pose="fist")
+    bent = bpy.context.object.pose.bones["index2"].rotation_quaternion.angle
+    bpy.data.objects.remove(bpy.context.object)
     addon_utils.disable(name)
     engine_here = sorted(module for module in sys.modules if module.split(".")[0] in ("jghand_engine", "torch"))
     print("\n" + json.dumps({
         "before": before, "first": first, "again": again, "after": ours(),
-        "protocol": protocol, "engine": engine_here,
+        "protocol": protocol, "engine": engine_here, "bent": bent,
     }))  # fmt: skip
 
 

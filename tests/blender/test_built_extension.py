@@ -49,3 +49,7 @@ def test_nothing_warns_while_it_is_installed_and_enabled(installed):
 def test_the_installed_extension_uses_its_own_copy_of_the_protocol_and_nothing_of_the_engine(installed):
     assert installed["protocol"] == "bl_ext.user_default.jghand.core.protocol"
     assert installed["engine"] == []
+
+
+def test_the_installed_extension_poses_a_hand_without_the_engine(installed):
+    assert installed["bent"] > 1

@@ -25,7 +25,7 @@ def test_the_license_is_there():
 
 
 def test_every_file_says_its_license_and_the_notice_names_the_sources_of_the_joints():
-    names = ("render_blend.py", "build_demo_scene.py", "build_pose_table.py", "build_pose_library.py")
+    names = ("render_blend.py", "build_demo_scene.py", "build_pose_library.py")
     scripts = [ROOT / "scripts" / name for name in names]
     for path in (*(ROOT / "blender_addon").rglob("*.py"), *scripts):
         assert path.read_text(encoding="utf-8").startswith("# SPDX-License-Identifier: GPL-3.0-or-later\n"), path

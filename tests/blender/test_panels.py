@@ -10,7 +10,7 @@ from recording_layout import RecordingLayout, draw, draw_rows
 from test_avatar_cards import write_avatar
 
 from blender_addon import registration
-from blender_addon.core.poses import all_poses
+from blender_addon.core.poses import ALL_POSES
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, avatar_files, controls, seen_hands
 from blender_addon.hand import panel as hand_panel
@@ -284,7 +284,7 @@ def test_common_poses_are_offered_first_and_letters_in_a_menu_of_their_own(exten
     assert common.texts[:5] == ["Open", "Flat", "Spread", "Relaxed", "Fist"]
     assert letters.texts[0] == "ASL A"
     named = [one.settings["pose"] for one in (*common.drawn, *letters.drawn) if one.settings]
-    assert named == [pose.name for pose in all_poses("right")]
+    assert named == [pose.name for pose in ALL_POSES]
 
 
 def test_no_class_of_ours_is_made_from_another_that_blender_knows():

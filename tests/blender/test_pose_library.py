@@ -1,7 +1,6 @@
 """The poses are real pose assets of this Blender: marked, catalogued, with pictures, applied to bones."""
 
 import bpy
-import build_pose_table
 import hands
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from blender_addon.hand import poses as pose_library
 
 
 def wanted_of(name: str, handedness: str) -> np.ndarray:
-    return build_pose_table.joints_of(poses.pose_named(name, handedness))
+    return poses.joints_on(name, posing.rest_joints_m(handedness), handedness)
 
 
 def shipped_actions(titles: list[str] | None = None) -> list[bpy.types.Action]:
@@ -27,7 +26,7 @@ def shipped_actions(titles: list[str] | None = None) -> list[bpy.types.Action]:
 
 def test_the_folder_holds_assets_of_both_hands_in_catalogs_with_pictures(context):
     actions = shipped_actions()
-    titles = {pose.title for side in HANDEDNESSES for pose in poses.all_poses(side)}
+    titles = {pose.title(side) for side in HANDEDNESSES for pose in poses.ALL_POSES}
     assert {action.name for action in actions} == titles
     catalogs = (pose_library.FOLDER / pose_library.CATALOG_FILE).read_text()
     for action in actions:
@@ -42,10 +41,10 @@ def test_the_folder_holds_assets_of_both_hands_in_catalogs_with_pictures(context
 
 
 @pytest.mark.parametrize("handedness", HANDEDNESSES)
-def test_every_asset_is_the_pose_of_the_table(context, handedness):
+def test_every_asset_is_the_pose_of_the_built_in_hand(context, handedness):
     hand = armature.build_armature(context, "Hand", posing.rest_joints_m(handedness), handedness)
-    for pose in poses.all_poses(handedness):
-        (action,) = shipped_actions([pose.title])
+    for pose in poses.ALL_POSES:
+        (action,) = shipped_actions([pose.title(handedness)])
         hand.pose.apply_pose_from_action(action, evaluation_time=1.0)
         # worst observed 3.2e-8 m
         np.testing.assert_allclose(hands.joints_of(hand), wanted_of(pose.name, handedness), atol=2e-7)
@@ -65,8 +64,9 @@ def test_an_asset_puts_the_controls_back_to_neutral(context):
 def test_every_pose_lies_within_the_joint_limits_of_the_controls(context, handedness):
     hand = armature.build_armature(context, "Hand", posing.rest_joints_m(handedness), handedness)
     controls.add_controls(context, hand)
-    for pose in poses.all_poses(handedness):
-        hand_poses.take_pose(hand, pose)
+    rest = armature.rest_matrices_of(hand)
+    for pose in poses.ALL_POSES:
+        hand_poses.take_pose(hand, poses.pose_on(pose.name, rest, handedness))
         away = np.linalg.norm(hands.joints_of(hand) - wanted_of(pose.name, handedness), axis=-1)
         assert away.max() < 5e-7, (pose.name, NAMES[int(away.argmax())], away.max())
 
@@ -74,7 +74,7 @@ def test_every_pose_lies_within_the_joint_limits_of_the_controls(context, handed
 def test_a_pose_of_the_other_hand_is_refused(context):
     hand = armature.build_armature(context, "Hand", posing.rest_joints_m("left"), "left")
     with pytest.raises(JGHandFailure, match="no right hand"):
-        hand_poses.take_pose(hand, poses.pose_named("fist", "right"))
+        hand_poses.take_pose(hand, poses.pose_on("fist", armature.rest_matrices_of(hand), "right"))
 
 
 def test_the_library_becomes_one_of_the_users_once(context):

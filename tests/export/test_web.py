@@ -35,8 +35,9 @@ from jghand_engine.export.web.page import WebOptions, WebView, export_web
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.kinematics import ArticulatedHand
 from jghand_engine.hand.orders import bone_lengths
-from jghand_engine.hand.poses import angles_on, pose_sequence_of_names
+from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.hand.shapes import angles_on
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.distill import distill
 from jghand_engine.learn.skinning import pose_gaussians

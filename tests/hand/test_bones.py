@@ -9,9 +9,10 @@ import torch
 from hand import sampled_hands as hands
 
 from jghand_engine.errors import InputError, RetryError
+from jghand_engine.hand.canonical import CanonicalHand
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
-from jghand_engine.hand.skeleton import CanonicalHand, FrameFlag, Skeleton, Swing, describe_flags
+from jghand_engine.hand.skeleton import FrameFlag, Skeleton, Swing, describe_flags
 from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.native import library
 

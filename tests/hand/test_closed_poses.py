@@ -14,7 +14,8 @@ from jghand_engine.hand.kinematics import (
     palm_gaps_m,
     segment_gap,
 )
-from jghand_engine.hand.poses import POSES_DEG, angles_on, named_pose
+from jghand_engine.hand.poses import named_pose
+from jghand_engine.hand.shapes import POSES_DEG, angles_on
 from jghand_engine.template.builtin import load_template
 
 CANONICAL = hands.canonical_np()

@@ -11,16 +11,9 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.kinematics import RANGES_DEG, TIP_THICKNESS_PART, ArticulatedHand
 from jghand_engine.hand.orders import bone_lengths, check_order
-from jghand_engine.hand.poses import (
-    POSES_DEG,
-    MotionOptions,
-    minimum_jerk,
-    named_angles,
-    named_pose,
-    pose_names,
-    pose_sequence_of_names,
-)
+from jghand_engine.hand.poses import MotionOptions, minimum_jerk, named_pose, pose_sequence_of_names
 from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN
+from jghand_engine.hand.shapes import POSES_DEG, named_angles, pose_names
 from jghand_engine.learn.skeleton import JointTransform
 
 CANONICAL = hands.canonical_np()

@@ -22,7 +22,8 @@ from jghand_engine.avatar.tiers import Tier
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.poses import named_pose, pose_names
+from jghand_engine.hand.poses import named_pose
+from jghand_engine.hand.shapes import pose_names
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.pose_features import Angles

@@ -16,7 +16,8 @@ from jghand_engine.captures.making.rig import RiggedHand
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import FINGERS, PARENTS
 from jghand_engine.hand.kinematics import RANGES_DEG, Contact, segment_gap
-from jghand_engine.hand.poses import LETTER_CONTACTS, LETTERS_DEG, POSES_DEG, minimum_jerk, pose_names
+from jghand_engine.hand.poses import minimum_jerk
+from jghand_engine.hand.shapes import LETTER_CONTACTS, LETTERS_DEG, POSES_DEG, pose_names
 
 # poses of one capture: beyond it the choice of varied ones takes minutes
 POSES_MAX = 5000

@@ -19,9 +19,9 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import FINGERS
 from jghand_engine.hand.kinematics import RANGES_DEG, ArticulatedHand
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.hand.poses import angles_on
 from jghand_engine.hand.rotations import alignment, axis_rotation, half_turns, minimal_rotation, unit
 from jghand_engine.hand.sequence import forearm_turns
+from jghand_engine.hand.shapes import angles_on
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.template.builtin import ASSETS, load_fields, with_forearm
 from jghand_engine.template.weights import bone_weights, columns_to_level

@@ -35,8 +35,8 @@ from jghand_engine.files import make_folder, write_file
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.kinematics import ABDUCTION_SIDE, RANGES_DEG, ArticulatedHand
 from jghand_engine.hand.orders import bone_lengths
-from jghand_engine.hand.poses import angles_on, named_angles, pose_names
 from jghand_engine.hand.sequence import PoseSequence, bone_directions, rebuilt
+from jghand_engine.hand.shapes import angles_on, named_angles, pose_names
 from jghand_engine.native import contract
 from jghand_engine.render.framing import FILL, FOCAL, framing_camera, skin_radii_m
 

@@ -16,7 +16,7 @@ from jghand_engine.captures.making.poses import (
 from jghand_engine.captures.making.rig import RiggedHand, load_identity
 from jghand_engine.errors import InputError
 from jghand_engine.hand.kinematics import RANGES_DEG, TIP_THICKNESS_PART, Contact
-from jghand_engine.hand.poses import LETTER_CONTACTS, pose_names
+from jghand_engine.hand.shapes import LETTER_CONTACTS, pose_names
 
 LOW, HIGH = RANGES_DEG[..., 0], RANGES_DEG[..., 1]
 ROUND_OFF_DEG = 1e-9

@@ -11,7 +11,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.kinematics import TIP_THICKNESS_PART
 from jghand_engine.hand.orders import bone_lengths, check_hand_size, check_order
-from jghand_engine.hand.poses import pose_names
+from jghand_engine.hand.shapes import pose_names
 from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.hand.wrist import slice_shares
 from jghand_engine.template.builtin import load_template
