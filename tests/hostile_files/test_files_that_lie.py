@@ -81,6 +81,14 @@ def test_a_description_without_a_field_or_with_nonsense_in_it_is_refused(tmp_pat
             refused_avatar(tmp_path, arrays, {**about, "learnt": {**learned, field: value}})
 
 
+@pytest.mark.parametrize("parts", ["trained avatar", "avatar in known light"], indirect=True)
+def test_a_hand_of_a_kind_of_light_that_nobody_knows_is_refused_by_its_name(tmp_path, parts):
+    arrays, about = parts
+    light = {**about["learnt"].get("light", {}), "kind": "guessed"}
+    changed = {**about, "learnt": {**about["learnt"], "light": light}}
+    refused_avatar(tmp_path, arrays, changed, "light kind", "known or estimated", "'guessed'")
+
+
 # ---- motions ---------------------------------------------------------------------------------------------------------
 
 

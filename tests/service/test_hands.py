@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from small_avatars import trained_avatar
+from test_requests import request
 
 from jghand_engine.avatar import PAINTED
 from jghand_engine.avatar.builtin import load_painted
@@ -27,7 +28,7 @@ from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.service import hands
-from jghand_engine.service.commands import error_header
+from jghand_engine.service.commands import Commands, error_header
 from jghand_engine.service.hands import IDLE_AVATARS_MAX, HandImages
 from jghand_engine.service.image_request import ImageRequest, ImageSettings, RequestedHand, RequestedLight
 
@@ -384,6 +385,54 @@ def test_a_world_is_known_again_by_its_key(source, tmp_path):
     other = source.render(asked([hand], light=lit(world="noon", radiance=2 * sky)))
     assert np.array_equal(first.rgba, same.rgba)
     assert np.allclose(other.rgba[..., :3], 2 * first.rgba[..., :3], rtol=1e-5, atol=1e-7)
+
+
+SKY = np.full((4, 8, 3), 0.5, np.float32)
+IN_SKY = {"light": {"lamps": [], "world": {"key": "wrong"}}}
+
+
+def told(lamp: dict, **changes: object) -> dict:
+    return {"light": {"lamps": [SUN, lamp | changes], "world": None}}
+
+
+def changed(value: float) -> np.ndarray:
+    sky = SKY.copy()
+    sky[1, 2, 0] = value
+    return sky
+
+
+POINT = {"kind": "point", "rgb": [1, 1, 1], "place_m": [0, 0, 1]}
+WRONG_LIGHTS = {
+    "a light that is a list": ({"light": [SUN]}, None, "light"),
+    "a world that is a number": ({"light": {"world": 1}}, None, "light"),
+    "a world without a key": ({"light": {"world": {}}}, SKY, "key"),
+    "a world without its picture": (IN_SKY, None, "array world: .*nothing"),
+    "a world of one color for each row": (IN_SKY, SKY[:, 0].copy(), "array world: .*rows, columns and 3"),
+    "a world with alpha": (IN_SKY, np.ones((4, 8, 4), np.float32), "array world: .*rows, columns and 3"),
+    "a world that is too large": (IN_SKY, np.ones((1025, 1, 3), np.float32), "array world: .*at most"),
+    "a world in doubles": (IN_SKY, SKY.astype(np.float64), "array world: .*float32"),
+    "a world that is no number": (IN_SKY, changed(np.nan), "world: .*finite radiance"),
+    "a world that takes light": (IN_SKY, changed(-0.1), "world: .*0 and up"),
+    "a world that is turned by nothing": (
+        {"light": {"world": {"key": "turned", "env_from_world": [[0] * 3] * 3}}}, SKY, "a rotation",
+    ),
+    "lamps that are no list": ({"light": {"lamps": SUN}}, None, "lamps"),
+    "more lamps than anybody needs": ({"light": {"lamps": [SUN] * 1000}}, None, "lamps"),
+    "a lamp that takes light": (told(SUN, rgb=[1, -1, 1]), None, "lamp 2.*rgb"),
+    "a lamp that is no number": (told(SUN, rgb=[1, np.nan, 1]), None, "lamp 2.*rgb"),
+    "a lamp that is nowhere": (told(POINT, place_m=[0, np.nan, 1]), None, "lamp 2.*place_m"),
+    "a lamp of less than nothing": (told(POINT, radius_m=-0.1), None, "lamp 2.*radius_m"),
+    "a sun without a direction": (told(SUN, place_m=[0, 0, 0]), None, "lamp.*direction"),
+    "a lamp of an unknown kind": (told(SUN, kind="bulb"), None, "lamp 2.*kind"),
+    "a lamp in watts": (told(SUN, watts=4), None, "watts"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("header", "world", "says"), WRONG_LIGHTS.values(), ids=WRONG_LIGHTS.keys())
+def test_a_request_in_a_light_that_is_none_is_told_what_is_wrong_with_it(source, header, world, says):
+    message = request(arrays=None if world is None else {"world": world}, **header)
+    with pytest.raises(InputError, match=says):
+        Commands(source).run(message)
 
 
 def test_the_same_light_again_draws_nothing(source, tmp_path):
