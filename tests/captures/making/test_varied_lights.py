@@ -16,6 +16,7 @@ from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.check_data import check_data, facts
 from jghand_engine.captures.making import person_skin, worker
 from jghand_engine.captures.making.lights import (
+    BEHIND,
     HELD_OUT_KINDS,
     KINDS,
     VariedLight,
@@ -186,6 +187,22 @@ def test_lamps_light_what_faces_them_alike(kind):
         if lamp["kind"] != "sun":
             light /= distance2
         assert light == pytest.approx(2 * np.pi, rel=1e-3)
+
+
+def test_a_quarter_of_the_lamps_stand_behind_the_hand_and_every_small_spot_does():
+    """Not counting those that happen to stand there: behind is what is within 30 degrees of the line of sight, as 6.7 %
+    of all directions are."""
+    rng, behind, anywhere = np.random.default_rng(6), np.array([0.0, 0.0, 1.0]), (1 - np.cos(np.radians(30))) / 2
+
+    def behind_it(kind: str) -> float:
+        places = np.array([random_lamp(kind, np.zeros(3), behind, rng)["place_m"] for _ in range(4000)])
+        return float((places[:, 2] / np.linalg.norm(places, axis=1) > np.cos(np.radians(30.001))).mean())
+
+    for kind in KINDS:
+        # four standard deviations of a count of 4000
+        assert (behind_it(kind) - anywhere) / (1 - anywhere) == pytest.approx(BEHIND, abs=0.03)
+    assert BEHIND == 0.25
+    assert behind_it("rim") == 1
 
 
 @pytest.mark.parametrize("name", SKIES)
