@@ -30,6 +30,7 @@ DESCRIPTION = """Measure an avatar on pictures that it did not learn from: figur
 Examples:
   jghand evaluate id3.jghand captures/id3 --split test --out id3_evaluation
   jghand evaluate id3.jghand captures/id3 --limit 20 --figures-only
+  jghand evaluate id3.jghand captures/id3 --split lights --limit 6       of a capture with `--lights varied`
   jghand evaluate id3.jghand captures/id3 --beside id3_aniso.jghand      both, on poses between poses
   jghand evaluate id3.jghand captures/id3 --crops --beside captures/id3_again"""
 
@@ -72,8 +73,9 @@ class Evaluate:
     """InterHand2.6M, HanCo, or what `jghand capture` made."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
     """For tables, figures and sheets. Left out: beside the avatar, id3.evaluation for id3.jghand."""
-    split: Literal["test", "train", "all"] = "test"
-    """Pictures that were held out, those that were learned, or both."""
+    split: Literal["test", "lights", "train", "all"] = "test"
+    """Pictures that were held out, also by what of their known light is new, as `jghand ablate` has them; those that
+    were learned, or both."""
     limit: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """At most so many pictures of each kind, evenly spread; 0 takes all."""
     preset: PresetName = "final"
@@ -92,6 +94,7 @@ class Evaluate:
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.captures.splits import split_capture
         from jghand_engine.files import make_folder
+        from jghand_engine.learn.ablation import light_categories
         from jghand_engine.learn.evaluate import categories_of, held_out
         from jghand_engine.learn.sheets import write_evaluation_sheets
         from jghand_engine.render.settings import preset
@@ -118,7 +121,10 @@ class Evaluate:
             say(f"Warning: {told.warning}")
         # of an avatar that learned all of them, none was held out
         which = self.split if told.split.test else "train"
-        categories = categories_of(told.split, which, self.limit)
+        if which == "lights":
+            categories = light_categories(told.split, self.limit)
+        else:
+            categories = categories_of(told.split, which, self.limit)
         out, settings = make_folder(self.out or Path(self.avatar).with_suffix(".evaluation")), preset(self.preset)
         draw = _drawer(avatar, capture, settings)
         evaluation = self._measured(draw, capture, again, categories, told.split.origin)

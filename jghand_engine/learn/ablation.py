@@ -152,6 +152,9 @@ def light_categories(split: Split, limit: int) -> dict[str, tuple[Sample, ...]]:
     its world, with its lamps as well, and in its small spot alone, which stands behind the hand. limit: at most so many
     of each, evenly spread; 0: all. InputError as `categories_of`."""
     categories_of(split, "test")
+    if all(sample.light is None for sample in split.test):
+        raise InputError(f"pictures of the test split ({split.origin})", wanted="light groups", came="none",
+                         remedy="Take a capture with --lights varied.")  # fmt: skip
     kinds: dict[str, list[Sample]] = {
         "new pose": list(split.novel_pose), "new camera": list(split.novel_view), "new world": [],
         "new world and lamps": [], "spot from behind": [], "all new": [],

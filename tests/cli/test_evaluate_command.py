@@ -5,12 +5,16 @@ import shutil
 
 import pytest
 from command_line import run
+from learn.lit_samples import write_lit_capture
 from picture_sets import recorded, write_set
 
+from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.forearm import BUILTIN_TEMPLATE
+from jghand_engine.avatar.relighting import estimated
 from jghand_engine.captures.capture_folder import PLAN_FILE, open_capture
 from jghand_engine.cli.learning import forearm_note
 from jghand_engine.export.pictures import read_png
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.template.builtin import WITH_FOREARM
 
 
@@ -81,12 +85,26 @@ def test_a_folder_of_test_pictures_alone_is_measured(folder, tmp_path, capsys):
     assert "at least one image to learn from" in capsys.readouterr().err
 
 
+def test_held_out_pictures_of_known_light_are_told_apart_by_what_of_it_is_new(tmp_path):
+    """As the ablation has them: of the one light that is new its world alone, with its lamps, and its spot alone."""
+    hand = estimated(load_builtin(handedness=Handedness.RIGHT)).prefix(1000)
+    words = ("--split", "lights", "--limit", 1, "--preset", "draft", "--out", tmp_path / "out")
+    assert run("evaluate", "builtin", write_lit_capture(tmp_path / "lit", hand), *words) == 0
+    means = json.loads((tmp_path / "out" / "evaluation.json").read_text())["means"]
+    kinds = ["new pose", "new camera", "new world", "new world and lamps", "spot from behind", "all new"]
+    assert list(means)[: len(kinds) + 1] == [*kinds, "all"]
+    assert len({means[kind]["psnr_box"] for kind in kinds}) == len(kinds)
+    assert all(f"| {kind} | " in (tmp_path / "out" / "tables.md").read_text(encoding="utf-8") for kind in kinds)
+    assert (tmp_path / "out" / "spot_from_behind.png").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (("--limit", "-1"), "0 or more"),
         (("--lpips-trunk", "nowhere.pth"), "no such file"),
         (("--split", "test", "--sequences", "NONE"), "NONE"),
+        (("--split", "lights"), "--lights varied"),
     ],
 )
 def test_bad_options_are_refused(folder, tmp_path, capsys, words, said):
