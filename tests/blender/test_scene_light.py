@@ -16,6 +16,7 @@ from mathutils import Vector
 from test_avatar_cards import write_avatar
 from test_combine import f12
 from test_limits import material
+from test_render_blend import script
 from test_render_engine import layers, linked_to
 
 from blender_addon import clock
@@ -106,6 +107,21 @@ def test_the_scene_of_the_hands_has_the_lamps_and_the_world(scene):
     assert ours.jghand.light == "SCENE"
     assert scene.objects["Lamp"].name in ours.collection.objects
     assert composite.out_of_date(scene) == []
+
+
+def test_a_run_without_a_window_has_the_pixels_of_f12(scene, real_engine, engine_python, tmp_path):
+    """Every bit of them, in the light of a lamp and a world."""
+    scene.world, scene.camera.name = even_world((0.1, 0.3, 0.2)), "Eye"
+    scene.render.image_settings.file_format, scene.render.image_settings.color_mode = "PNG", "RGBA"
+    scene.render.image_settings.color_depth, scene.render.filepath = "16", str(tmp_path / "f12.png")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "lit.blend"))
+    bpy.ops.render.render(write_still=True)
+    words = ("--out", tmp_path / "out", "--frames", "1", "--engine-python", engine_python)
+    done = script("render_blend.py", tmp_path / "lit.blend", *words)
+    assert done.returncode == 0, done.stderr
+    f12, headless = (hands.pixels(tmp_path / name) for name in ("f12.png", "out/Eye/0001.png"))
+    np.testing.assert_array_equal(headless, f12)
+    assert f12[..., :3].max() > 0.1
 
 
 @pytest.fixture
