@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Matrix, Quaternion, Vector
+from test_limits import material
 
 from blender_addon.render import lamps
 from blender_addon.viewport import handlers
@@ -334,6 +335,18 @@ def test_a_portal_lights_nothing_itself(card):
     thing = add_light("AREA", **AREA)
     thing.data.cycles.is_portal = True
     assert not read(card).lamps
+
+
+@pytest.mark.parametrize("shader", ["ShaderNodeBsdfDiffuse", "ShaderNodeBsdfGlossy"])
+def test_cycles_knows_neither_factors_nor_custom_distance(card, tmp_path, shader):
+    thing = add_light("POINT", **POINT)
+    card.data.materials[0] = material(shader)
+    before, physical = measured(tmp_path), read(card)
+    assert before.max() > 0
+    light = thing.data
+    light.diffuse_factor, light.specular_factor, light.use_custom_distance, light.cutoff_distance = 0.25, 0.5, True, 0.1
+    np.testing.assert_array_equal(measured(tmp_path), before)
+    assert read(card) == physical
 
 
 def test_eevee_has_factors_and_neither_nodes_nor_spread(card):
