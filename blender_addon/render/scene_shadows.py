@@ -35,7 +35,7 @@ LIFT_M = 2.5e-3
 _WAY = 0.999
 # how far a sun's shadow is looked for, meters
 _FAR_M = 1000.0
-# cosine of skin and light below which no light falls on it, however round the corner is
+# cosine of skin and light below which no light falls on it, however round the corner is: one ray will do
 _FACING_MIN = -0.3
 # what is kept beyond what was used last: lights found, triangles in trees (about 300 bytes each), and scenes
 _FOUND, _TRIANGLES, _SCENES = 256, 4_000_000, 4
@@ -94,8 +94,8 @@ edits = 0
 def left_of_lamps(
     points_m: np.ndarray, normals: np.ndarray, lamps: Sequence[Mapping[str, Any]], depsgraph: bpy.types.Depsgraph
 ) -> np.ndarray:
-    """(lamps, N) uint8, what the scene leaves of each lamp at each point: 255 all of it. Points that face away from a
-    lamp have 255, too.
+    """(lamps, N) uint8, what the scene leaves of each lamp at each point: 255 all of it. Points that face away count as
+    well, without the hand between: a forearm, which has none, reads those of the wrist, on whichever side.
 
     points_m, normals: (N, 3) of the skin, in the axes of the lamps, meters
     lamps:             of `SceneLight`
@@ -281,16 +281,16 @@ def _look(
     """(N,) uint8, what things leave of a lamp. around: what `_around` finds"""
     towards, sine = _towards(points, lamp)
     facing = np.flatnonzero((normals * towards).sum(-1) > np.minimum(_FACING_MIN, -sine))
-    starts = points[facing] + LIFT_M * normals[facing]
-    shaded = np.full(len(points), np.nan)
-    is_soft = np.max(sine, initial=0.0) > _SOFT_SINE
-    shaded[facing] = _shaded(facing, starts, lamp, things, _SIDES[0] if is_soft else 1)
-    if is_soft and 0 < shaded[facing].sum() < len(facing):
-        mean = _mean(shaded, *around())
-        rows = np.flatnonzero((mean > 0) & (mean < 1))
-        shaded[rows] = _shaded(rows, points[rows] + LIFT_M * normals[rows], lamp, things, _SIDES[1])
-        shaded = np.where((shaded > 0) & (shaded < 1), _mean(shaded, *around()), shaded)
-    return np.rint(255 * (1 - np.nan_to_num(shaded))).astype(np.uint8)
+    starts = points + LIFT_M * normals
+    shaded = _shaded(np.arange(len(points)), starts, lamp, things, 1)
+    if np.max(sine, initial=0.0) > _SOFT_SINE:
+        shaded[facing] = _shaded(facing, starts[facing], lamp, things, _SIDES[0])
+        mean = _mean(shaded, *around()) if 0 < shaded.sum() < len(points) else shaded
+        rows = facing[(mean[facing] > 0) & (mean[facing] < 1)]
+        if len(rows):
+            shaded[rows] = _shaded(rows, starts[rows], lamp, things, _SIDES[1])
+            shaded = np.where((shaded > 0) & (shaded < 1), _mean(shaded, *around()), shaded)
+    return np.rint(255 * (1 - shaded)).astype(np.uint8)
 
 
 def _shaded(
@@ -315,10 +315,8 @@ def _around(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _mean(values: np.ndarray, near: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """(N,) weighted means of what is near; of what is not known, NaN, nothing."""
-    there = np.where(np.isnan(values[near]), 0.0, weight)
-    mean = (np.nan_to_num(values[near]) * there).sum(1) / np.maximum(there.sum(1), 1e-9)
-    return np.where(np.isnan(values), np.nan, mean)
+    """(N,) weighted means of what is near."""
+    return (values[near] * weight).sum(1) / np.maximum(weight.sum(1), 1e-9)
 
 
 def _towards(points: np.ndarray, lamp: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
