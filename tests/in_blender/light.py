@@ -49,7 +49,9 @@ def step_a_red_lamp_makes_it_red(window):
     window.picture("red_lamp")
     assert after[0] / after[1] > 1.3 * before[0] / before[1]
     _lamp().data.color = (1.0, 1.0, 1.0)
+    window.redraw()
     yield 0.5
+    yield lambda: _is_sharp(window)
 
 
 def step_undo_and_redo_take_the_light_along(window):
@@ -104,10 +106,11 @@ def step_the_world_lights_it(window):
 
 def step_in_material_preview_it_stands_in_the_scenes_light_and_throws_its_shadow(window):
     bpy.context.scene.render.engine = "BLENDER_EEVEE"
-    bpy.ops.mesh.primitive_plane_add(size=1.0, location=(0.0, 0.0, 0.0))
+    # below the forearm
+    bpy.ops.mesh.primitive_plane_add(size=2.0, location=(0.0, 0.0, -0.15))
     _lamp().location = (-0.4, -0.4, 0.5)
     shading = window.space().shading
-    yield from window.look_at((0.05, 0.05, 0.07), 0.6, (1.0, 0.0, 0.2))
+    yield from window.look_at((0.1, 0.1, 0.0), 0.8, (1.0, 0.0, 0.2))
     empty = window.crop(window.screen())[-40:].astype(int)
     yield from window.shading("MATERIAL")
     shading.use_scene_lights = shading.use_scene_world = True
@@ -145,7 +148,7 @@ def step_under_agx_a_mesh_hand_beside_it_has_the_same_light_and_shadow(window):
     lamp.data.type, lamp.data.energy, lamp.rotation_euler = "SUN", 4.0, (0.9, 0.0, -0.5)
     eye.location, eye.rotation_euler = (0.08, -0.75, 0.25), (1.35, 0.0, 0.0)
     eye.data.type, eye.data.ortho_scale = "ORTHO", 0.48  # a pixel for each millimeter
-    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 16, False
+    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 64, False
     scene.render.resolution_x, scene.render.resolution_y = 480, 320
     bpy.context.preferences.view.render_display_type = "NONE"
     window.call("jghand.combine_with_scene")
