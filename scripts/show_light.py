@@ -1,6 +1,9 @@
-"""The built-in hand in the light of a studio, and in that of five scenes.
+"""The built-in hand in the light of a studio, and in that of five scenes; or in Blender's, as a window showed it.
 
 python scripts/show_light.py [--out docs/light.webp] [--avatar builtin]
+
+python scripts/test_in_blender.py light
+python scripts/show_light.py --window build/in_blender/light --out docs/scene_light.webp
 """
 
 from __future__ import annotations
@@ -53,23 +56,48 @@ LIGHTS: dict[str, SceneLight | None] = {
 }
 
 
+# pictures of the story tests/in_blender/light.py, the part of each that shows the hand, and how large it becomes
+SHEET = (
+    (("*_lamp_before_it", (270, 150, 830, 710), (480, 480)), ("*_lamp_behind_it", (270, 150, 830, 710), (480, 480)),
+     ("*_cube_before_lamp", (270, 150, 830, 710), (480, 480))),
+    (("*_material_preview", (240, 160, 960, 640), (720, 480)), ("mesh_hand_beside_it", (0, 0, 480, 320), (720, 480))),
+)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Options:
-    """out: the picture · avatar: a .jghand file or builtin"""
+    """out: the picture · avatar: a .jghand file or builtin · window: a folder with the story's pictures"""
 
     out: Path = Path("docs/light.webp")
     avatar: str = "builtin"
+    window: Path | None = None
+
+
+def in_window(folder: Path) -> list[np.ndarray]:
+    """The rows of a sheet."""
+
+    def shown(name: str, box_px: tuple[int, int, int, int], size_px: tuple[int, int]) -> np.ndarray:
+        (path,) = folder.glob(f"{name}.png")
+        return np.asarray(Image.open(path).convert("RGB").crop(box_px).resize(size_px, Image.Resampling.LANCZOS))
+
+    return [np.concatenate([shown(*each) for each in row], 1) for row in SHEET]
 
 
 def main(options: Options) -> None:
-    avatar = load_avatar_called(options.avatar).for_hand(Handedness.RIGHT)
+    rows = in_window(options.window) if options.window is not None else lit(options.avatar)
+    Image.fromarray(np.concatenate(rows)).save(options.out, quality=88)
+
+
+def lit(name: str) -> list[np.ndarray]:
+    """The same, of an avatar."""
+    avatar = load_avatar_called(name).for_hand(Handedness.RIGHT)
     rows = []
-    for name in POSES:
-        joints_m = named_pose(name, avatar.rest_joints_m, handedness=Handedness.RIGHT)
+    for pose in POSES:
+        joints_m = named_pose(pose, avatar.rest_joints_m, handedness=Handedness.RIGHT)
         camera = framing_camera(joints_m[None], Handedness.RIGHT, "front", width=SIZE[0], height=SIZE[1])
         frames = [HandRenderer(avatar, preset("final"), light).render(joints_m, camera) for light in LIGHTS.values()]
         rows.append(np.concatenate([flatten(frame.displayed(), BACKGROUND) for frame in frames], 1))
-    Image.fromarray(np.concatenate(rows)).save(options.out, quality=88)
+    return rows
 
 
 if __name__ == "__main__":
