@@ -113,6 +113,7 @@ class Poser:
     blocks: which Gaussian stands in which row; rows beyond the avatar have sigma 0 and opacity 0
     into:   the rows, `blocks.rows` of them; with covariances where any hand of the image has ellipsoids
     limits: below which parts of the light of a scene are left out
+    sweeps: whether light that skin throws stops at what stands before it
     teams:  counters to be set to zero before what was prepared is run again
     """
 
@@ -122,6 +123,8 @@ class Poser:
         avatar: HandAvatar,
         into: GaussianArrays | None = None,
         limits: Limits = LIMITS,
+        *,
+        sweeps: bool = False,
     ) -> None:
         self._call, self._maps, learned = library.call, avatar.map_count, avatar.learned
         self.blocks = blocks = Blocks.of(avatar.position_m)
@@ -140,7 +143,7 @@ class Poser:
         if covariance is not None:
             task.covariance = address(covariance, np.float32, "covariance_m2", (rows, 6), writable=True)
         _check_size(library, library.call.jg_skin_task_bytes(), SkinTask)
-        self._light = None if learned is None else _Light(library, avatar, learned, blocks, limits)
+        self._light = None if learned is None else _Light(library, avatar, learned, blocks, limits, sweeps=sweeps)
         # what the task points to, and the pose that stands
         self._stands: tuple[np.ndarray, Bones, Capsules | None] | None = None
         # from where, and with which light apart
@@ -253,7 +256,16 @@ class LightAround:
 class _Light:
     """What a trained avatar adds to skinning: correctives, light, the shadows that fingers cast, gloss."""
 
-    def __init__(self, library: Library, avatar: HandAvatar, learned: Learned, blocks: Blocks, limits: Limits) -> None:
+    def __init__(
+        self,
+        library: Library,
+        avatar: HandAvatar,
+        learned: Learned,
+        blocks: Blocks,
+        limits: Limits,
+        *,
+        sweeps: bool,
+    ) -> None:
         _check_size(library, library.call.jg_learned_task_bytes(), LearnedTask)
         self.task, self.reflects, self._rows = learned_task(learned, avatar.handedness), learned.reflects, blocks.rows
         self._fades = learned.fades
@@ -267,7 +279,7 @@ class _Light:
         self._anchors = None if learned.cast is None else learned.cast.anchors
         self._scene = None
         if learned.response is not None and self._cast is not None:
-            self._scene = SceneLightStep(learned.response, blocks, self._cast, self.task, limits)
+            self._scene = SceneLightStep(learned.response, blocks, self._cast, self.task, limits, sweeps=sweeps)
         self.is_lit = self._scene is not None
 
     @property

@@ -12,7 +12,7 @@ import numpy as np
 from jghand_engine.avatar.blocks import Blocks, padded_rows, set_pointers
 from jghand_engine.avatar.cast_task import CAPSULE_SINE2_MIN, EVENED, PATCH, CastStep, anchors_beside
 from jghand_engine.avatar.lamp_rows import LAMPS_MAX, Limits, lamp_rows, shares_on, world_shade
-from jghand_engine.avatar.learned import SkinResponse
+from jghand_engine.avatar.learned import SkinResponse, lamp_directions
 from jghand_engine.avatar.scene_light import (
     CELLS,
     LOBES,
@@ -27,8 +27,11 @@ from jghand_engine.native.binding import address, aligned_zeros
 from jghand_engine.native.learned_tasks import LearnedTask
 from jghand_engine.native.scene_light_task import (
     APART,
+    GRID,
     LAMP_NUMBERS,
     NUMBER,
+    SWEEPS,
+    SWEPT,
     THROWN,
     LampDepth,
     SceneLightTask,
@@ -42,6 +45,8 @@ WIDE_SOFTNESS = 0.6
 # concentration of a spherical Gaussian that is as wide as GGX mirrors, over 1 / roughness^4: half the angle in the
 # half vector is a quarter of it in the mirrored direction
 MIRROR_SHARPNESS = 0.5
+# of the picture through which thrown light is swept, over how far anchors are apart: finer ones leave gaps between them
+TEXELS = 0.6
 # what a bone may lack of standing before skin wholly: rounding
 WHOLLY = 1e-6
 # without a world its cells are black
@@ -69,11 +74,19 @@ class SceneLightStep:
     """Fills in a task what the light of a scene does to its poses. It must live as long as the task.
 
     response: of the skin, in the avatar's own order · blocks: of its Gaussians · cast: whose anchors it uses ·
-    limits: below which light is left out · task, arrays: of the scene, and what its fields point to, by name
+    limits: below which light is left out · sweeps: whether light that skin throws stops at what stands before it ·
+    task, arrays: of the scene, and what its fields point to, by name
     """
 
     def __init__(
-        self, response: SkinResponse, blocks: Blocks, cast: CastStep, task: LearnedTask, limits: Limits
+        self,
+        response: SkinResponse,
+        blocks: Blocks,
+        cast: CastStep,
+        task: LearnedTask,
+        limits: Limits,
+        *,
+        sweeps: bool = False,
     ) -> None:
         self._response, self._blocks, self._cast, self._limits = response, blocks, cast, limits
         material = np.stack([response.spread, response.roughness, response.reflectance], 1)
@@ -104,6 +117,10 @@ class SceneLightStep:
             wide_softness=WIDE_SOFTNESS,
             sine2_min=CAPSULE_SINE2_MIN,
         )
+        if sweeps:
+            self.arrays |= _swept(cast)
+            area_m2 = self.arrays["area"]
+            self.task.texel_m = TEXELS * float(np.sqrt(area_m2[area_m2 > 0].mean()))
         set_pointers(self.task, self.arrays)
         task.scene = ctypes.addressof(self.task)
         self._apart: Apart | None = None
@@ -220,6 +237,25 @@ def _evened(cast: CastStep) -> np.ndarray:
     beside = anchors_beside(cast.anchors.position_m, cast.anchors.normal)
     rows[cast.row_of_anchor] = cast.row_of_anchor[beside]
     return rows
+
+
+def _swept(cast: CastStep) -> dict[str, np.ndarray]:
+    """Through what light is swept that skin throws: the arrays of native/bounce.cpp."""
+    anchors, area_m2 = cast.anchors, aligned_zeros((cast.rows,))
+    beside = anchors_beside(anchors.position_m, anchors.normal)
+    apart2_m2 = np.square(anchors.position_m[beside] - anchors.position_m[:, None]).sum(-1).max(1)
+    area_m2[cast.row_of_anchor] = np.pi * apart2_m2 / (EVENED - 1)
+    direction = aligned_zeros((SWEPT, 3))
+    direction[...] = lamp_directions(SWEPT)
+    three = cast.rows // LANES, 3, LANES
+    return {
+        "area": area_m2,
+        "swept": direction,
+        "once": aligned_zeros(three),
+        "sent": aligned_zeros(three),
+        "caught": aligned_zeros((SWEEPS, cast.rows, 4)),
+        "sweeping": aligned_zeros((SWEEPS, 4 * GRID**2 + 6 * cast.rows)),
+    }
 
 
 def mirrored(world: World, roughness: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from jghand_engine.errors import InputError, RetryError
 
-ABI = 15
+ABI = 16
 
 _P, _I32 = ctypes.c_void_p, ctypes.c_int32
 

@@ -77,11 +77,13 @@ inline Apron apron_of(const DetailTask& t) { return t.layers > 0 ? Apron{LANES /
 constexpr int FACE_BITS = 20;        // of a number of a face; the hand's stands above
 constexpr int BOUNDS = 5, FACE_KIND = 4;
 constexpr int FADES = 8;  // bit of a face, beside those of its sides: the hand ends there
-// of a pixel covered by a face: four rows of four, in the middle of the sixteenths of its area
-const vf SAMPLE_X = {-.375f, -.125f, .125f, .375f, -.375f, -.125f, .125f, .375f,
-                     -.375f, -.125f, .125f, .375f, -.375f, -.125f, .125f, .375f};
-const vf SAMPLE_Y = {-.375f, -.375f, -.375f, -.375f, -.125f, -.125f, -.125f, -.125f,
-                     .125f, .125f, .125f, .125f, .375f, .375f, .375f, .375f};
+// of a pixel where a face may cover it: a Hammersley set, spread as the film filter of Cycles weighs places (Blackman-Harris,
+// 1.5 pixels to each side), so that outlines are as soft as those of what Blender renders beside
+const vf SAMPLE_X = {-0.7699f, -0.5554f, -0.4290f, -0.3312f, -0.2478f, -0.1724f, -0.1018f, -0.0337f,
+                     0.0337f, 0.1018f, 0.1724f, 0.2478f, 0.3312f, 0.4290f, 0.5554f, 0.7699f};
+const vf SAMPLE_Y = {-0.7699f, 0.0337f, -0.2478f, 0.3312f, -0.4290f, 0.1724f, -0.1018f, 0.5554f,
+                     -0.5554f, 0.1018f, -0.1724f, 0.4290f, -0.3312f, 0.2478f, -0.0337f, 0.7699f};
+constexpr float SAMPLES_TO = 0.78f;  // pixels to each side
 
 // What is kept of a face. First what is affine on the image: near; the texture's column and row times it; how much is
 // shown; of relief the light's change with a rise by column and by row, its change along the normal, and the bend; and
@@ -193,10 +195,10 @@ inline void doubt_outlines(Surface& tile, const DetailHand& hand) {
     const float* face = hand.planes + FACE_NUMBERS * (int64_t)row;
     for (int side = 0; side < 3; side++) {
       if (!(kind >> side & 1)) continue;
-      // the share of the corner across is 0 along it, and changes by this from the middle of a pixel to a corner
+      // the share of the corner across is 0 along it, and changes by this from the middle of a pixel to the last samples
       const int plane = SHARE_0 + (side + 2) % 3;
       const float by_x = face[BY_X + plane], by_y = face[BY_Y + plane];
-      const float within = 0.5f * (__builtin_fabsf(by_x) + __builtin_fabsf(by_y));
+      const float within = SAMPLES_TO * (__builtin_fabsf(by_x) + __builtin_fabsf(by_y));
       for (int32_t y = at.y0; y <= at.y1; y++) {
         const float first = face[plane] + ((float)(tile.y + y) + 0.5f - face[Y]) * by_y;
         uint64_t crossed = 0;

@@ -119,12 +119,19 @@ JG_API void jg_learned_pose(jg::Team* team, const jg::LearnedTask* task) {
   if (t.scene) {
     by_blocks(0, anchor_blocks, jg::LANES, [&](int32_t begin, int32_t end) { jg::anchor_lamps(t, begin, end); });
     at_anchors(1, [&](int32_t b) { jg::anchor_world(t, b); });
-    at_anchors(2, [&](int32_t b) { jg::anchor_bounced(t, b); });
-    at_anchors(3, [&](int32_t b) { jg::anchor_evened(t, b); });
+    if (t.scene->area && t.scene->shade > 0 && !t.scene->baked) {
+      by_blocks(2, jg::SWEEPS, 1, [&](int32_t item, int32_t) { jg::sweep_some(t, item, jg::AGAIN_STEP); });
+      at_anchors(3, [&](int32_t b) { jg::anchor_again(t, b); });
+      by_blocks(4, jg::SWEEPS, 1, [&](int32_t item, int32_t) { jg::sweep_some(t, item, 1); });
+      at_anchors(5, [&](int32_t b) { jg::anchor_caught(t, b); });
+    } else {
+      at_anchors(2, [&](int32_t b) { jg::anchor_bounced(t, b); });
+      at_anchors(3, [&](int32_t b) { jg::anchor_evened(t, b); });
+    }
   } else {
     at_anchors(0, [&](int32_t b) { jg::cast_block(t.cast, t.skin, t.volume_min, t.length2_min, b); });
   }
-  by_blocks(4, t.skin.blocks, jg::BLOCKS_PER_ITEM, [&](int32_t begin, int32_t end) {
+  by_blocks(6, t.skin.blocks, jg::BLOCKS_PER_ITEM, [&](int32_t begin, int32_t end) {
     if (!t.scene || !t.scene->keeps_pose) jg::pose_blocks(t, begin, end);
     if (t.scene) jg::light_blocks(t, begin, end);
   });

@@ -12,6 +12,6 @@ const char STAMP[] __attribute__((used)) = JG_BUILD_STAMP;
 }
 
 // Raised whenever a signature or a shared structure changes; native/binding.py holds the number it expects.
-JG_API int32_t jg_abi() { return 15; }
+JG_API int32_t jg_abi() { return 16; }
 JG_API const char* jg_stamp() { return STAMP; }
 JG_API const char* jg_variant() { return JG_VARIANT; }

@@ -20,17 +20,12 @@ constexpr float MASKED_MIN = 1e-6f;                       // of rows without ski
 constexpr float EDGE_GAIN = 100.f;                        // how fast anchors stop counting where an edge is near
 constexpr float FACING_SUM_MIN = 1e-9f;                   // of cosines to all directions, as a divisor
 constexpr float CAUGHT_MIN = 0.01f;                       // of light among skin that throws back all, as a divisor
-constexpr float FACED_MIN = 1e-6f;                        // part of all that a point faces, as a divisor
-constexpr float FACED_PART_MIN = 0.25f;                   // of what is hidden, patches are taken to be: no more is made of few
 constexpr float OPEN_MIN = 1e-12f;                        // W/m2 of the world, as a divisor
 constexpr float CORNER_MIN2 = CORNER_MIN * CORNER_MIN, CORNER_MAX2 = CORNER_MAX * CORNER_MAX;
 constexpr float LUMINANCE[3] = {0.2126f, 0.7152f, 0.0722f};  // Rec. 709
 constexpr float LIT_MIN = 1e-9f;                          // W/m2, as a divisor
 constexpr float GRAZED_MIN = 0.1f;                        // of light that faces skin, as a divisor: slopes stay steady
-constexpr int POSED = 9, MATERIAL = 3, BAKED = 12;
-// what anchors say, in rows: of the world part rgb, bounced rgb and part of the sky; of each slot what is seen, the same
-// with wide edges and, where things of the scene stand in the light, what these leave
-constexpr int OF_WORLD = 7, OF_SLOT_MAX = 3, COLUMNS_MAX = (OF_WORLD + OF_SLOT_MAX * SLOTS_MAX + LANES - 1) / LANES * LANES;
+constexpr int MATERIAL = 3, BAKED = 12;
 
 // mu above w, 0 below -w, smooth between (C1): light does not leak to the far side. Takes w^2.
 JG_INLINE vf soft_cosine(vf mu, vf w2) {
@@ -159,21 +154,10 @@ JG_INLINE void spread(const int32_t* nearest, const float* share, const float* r
   transpose(out);
 }
 
-JG_INLINE void store_column(float* rows, int stride, vf values) {
-  for (int lane = 0; lane < LANES; lane++) rows[stride * lane] = values[lane];
-}
-
 // Squared half width of the rounded corner of a cosine.
 JG_INLINE vf corner2_of(float softness, vf spread, vf sine2) {
   const vf own = spread * softness;
   return min(max(own * own + sine2, all(CORNER_MIN2)), all(CORNER_MAX2));
-}
-
-JG_INLINE int columns_per_slot(const SceneLightTask& s) { return s.left ? OF_SLOT_MAX : OF_SLOT_MAX - 1; }
-
-// Of a row of what anchors say; whole vectors.
-JG_INLINE int columns_of(const SceneLightTask& s) {
-  return (OF_WORLD + columns_per_slot(s) * s.slots + LANES - 1) / LANES * LANES;
 }
 
 JG_INLINE vf slot_seen(const LearnedTask& t, const SceneLightTask& s, int32_t block, const float* lamp) {
@@ -196,7 +180,7 @@ JG_INLINE void light_of_world(const LearnedTask& t, int32_t block, Lit& lit) {
   const int64_t around = ANCHORS_AROUND * row;
   for (int i = 0; i < columns; i += LANES)
     spread(t.nearest + around, t.share + around, s.reached + i, columns, lit.reached + i);
-  store(s.sky + row, lit.reached[6]);
+  store(s.sky + row, lit.reached[OF_SKY]);
   if (s.baked) {
     const float* field = s.baked + BAKED * row;
     for (int i = 0; i < 3; i++) {
@@ -206,7 +190,7 @@ JG_INLINE void light_of_world(const LearnedTask& t, int32_t block, Lit& lit) {
     }
   } else {
     world_irradiance(s, lit.normal, lit.light);
-    for (int i = 0; i < 3; i++) lit.light[i] = lit.light[i] * lit.reached[i] + lit.reached[3 + i];
+    for (int i = 0; i < 3; i++) lit.light[i] = lit.light[i] * lit.reached[i] + lit.reached[OF_BOUNCED + i];
   }
 }
 
@@ -403,7 +387,7 @@ void anchor_world(const LearnedTask& t, int32_t block) {
   const int columns = columns_of(s);
   float* rows = s.reached + columns * LANES * (int64_t)block;
   if (!(s.shade > 0)) {
-    for (int i = 0; i < OF_WORLD; i++) store_column(rows + i, columns, all(i < 3 || i == 6 ? 1.f : 0.f));
+    for (int i = 0; i < OF_WORLD; i++) store_column(rows + i, columns, all(i < 3 || i == OF_SKY ? 1.f : 0.f));
     return;
   }
   vf p[3], normal[3], open[3] = {}, seen[3] = {}, sky = {}, open_sky = {}, thrown[3];
@@ -431,10 +415,14 @@ void anchor_world(const LearnedTask& t, int32_t block) {
     store_column(rows + i, columns, 1.f - s.shade * (1.f - part));
     // what it sees of skin is as bright as itself, and sees as much of it in turn
     const vf again = max(1.f - s.bounce[i] * hidden, all(CAUGHT_MIN));
-    thrown[i] = s.bounce[i] * (thrown[i] * part + load(posed + LANES * (6 + i))) / again;
+    const vf once = s.bounce[i] * (thrown[i] * part + load(posed + LANES * (6 + i)));
+    thrown[i] = once / again;
+    if (!s.area) continue;
+    const int64_t at = LANES * (3 * (int64_t)block + i);
+    store(s.once + at, once), store(s.sent + at, thrown[i]);
   }
-  store_column(rows + 6, columns, 1.f - s.shade * hidden);
-  if (!s.baked) store_patches(s, block, p, normal, thrown);
+  store_column(rows + OF_SKY, columns, 1.f - s.shade * hidden);
+  if (!s.baked && !s.area) store_patches(s, block, p, normal, thrown);
 }
 
 void anchor_bounced(const LearnedTask& t, int32_t block) {
@@ -444,7 +432,7 @@ void anchor_bounced(const LearnedTask& t, int32_t block) {
   const int columns = columns_of(s);
   const float* rows = s.reached + columns * LANES * (int64_t)block;
   vf p[3], normal[3], sum[3] = {}, faced = {}, hidden;
-  for (int lane = 0; lane < LANES; lane++) hidden[lane] = 1.f - rows[columns * lane + 6];
+  for (int lane = 0; lane < LANES; lane++) hidden[lane] = 1.f - rows[columns * lane + OF_SKY];
   for (int i = 0; i < 3; i++) p[i] = load(posed + LANES * i), normal[i] = load(posed + LANES * (3 + i));
   const float* end = s.thrown + THROWN * (LANES / PATCH) * (int64_t)(bit_mask(hidden > 0) ? t.cast.blocks : 0);
   for (const float* patch = s.thrown; patch < end; patch += THROWN) {
@@ -472,7 +460,7 @@ void anchor_evened(const LearnedTask& t, int32_t block) {
     for (int64_t k = EVENED * row; k < EVENED * (row + 1); k++)
       for (int i = 0; i < 4; i++) sum[i] += s.bounced[4 * (int64_t)s.beside[k] + i];
     const float share = s.bounced[4 * row + 3] / fmaxf(sum[3], FACED_MIN);
-    for (int i = 0; i < 3; i++) s.reached[columns * row + 3 + i] = share * sum[i];
+    for (int i = 0; i < 3; i++) s.reached[columns * row + OF_BOUNCED + i] = share * sum[i];
   }
 }
 
@@ -621,7 +609,7 @@ void light_slope(const LearnedTask& t, const int32_t* nearest, const int32_t* be
     const vf lit = part * luminance(s.irradiance + 3 * k);
     sum += lit * waves[k], slope[0] += lit * by_x[k], slope[1] += lit * by_y[k], slope[2] += lit * by_z[k];
   }
-  sum = max(sum, part * luminance(s.least)) + luminance(reached + 3);
+  sum = max(sum, part * luminance(s.least)) + luminance(reached + OF_BOUNCED);
   // what comes from all around has no more of it along the normal
   along_skin();
   for (int j = 0; j < s.lamps; j++) {

@@ -28,8 +28,14 @@ constexpr int SLOTS_MAX = 32;  // LAMPS_MAX of avatar/lamp_rows.py
 constexpr int LAYERS_MAX = 8;  // of native/scene_light_task.py
 constexpr int APART = 5;       // numbers of light that is drawn apart
 constexpr int PATCH = 4;       // neighboring anchors that throw light as one: PATCH of avatar/cast_task.py
+constexpr int POSED = 9;       // numbers of a posed anchor
 constexpr int THROWN = 10;     // numbers of a patch
 constexpr int EVENED = 8;      // anchors whose mean is taken of the skin that they see: EVENED of avatar/cast_task.py
+constexpr int SWEPT = 64, SWEEPS = 16;  // directions along which thrown light is swept, and items of work: of avatar/bounce_step.py
+constexpr int AGAIN_STEP = 2;  // every second of them says what is thrown again
+constexpr int OF_BOUNCED = 3, OF_SKY = 6;  // in a row of `reached`
+constexpr float FACED_MIN = 1e-6f;      // part of all that a point faces, as a divisor
+constexpr float FACED_PART_MIN = 0.25f; // of what is hidden, skin is taken to be: no more is made of little
 enum LampKind { SUN = 0, POINT = 1, SPOT = 2, AREA = 3 };
 
 // Mirrored field by field in native/scene_light_task.py.
@@ -59,6 +65,12 @@ struct SceneLightTask {
   const int32_t* beside;     // (16 anchor blocks, EVENED): rows of anchors whose mean is taken of the skin that they see
   float* bounced;            // (16 anchor blocks, 4): W/m2 rgb before that, and the part of directions that is hidden
                              // and drawn so
+  const float* area;         // (16 anchor blocks): m2 of skin around each at rest; null: light is thrown by patches
+  const float* swept;        // (SWEPT, 3): directions along which it is swept otherwise
+  float* once;               // (anchor blocks, 3, 16): W/m2 that anchors throw of lamps and world
+  float* sent;               // (anchor blocks, 3, 16): of what others throw, too
+  float* caught;             // (SWEEPS, 16 anchor blocks, 4): W/m2 rgb times cosines
+  float* sweeping;           // (SWEEPS, sweep_floats): of one direction at a time
   float* reflecting;         // (blocks, 3, 16): albedo / pi, in the pose's shade
   float* sky;                // (16 blocks): part of it that a Gaussian sees
   float* reached;            // (16 anchor blocks, columns): what the anchors say, in rows: part of the world rgb, bounced
@@ -70,6 +82,7 @@ struct SceneLightTask {
   float flesh_softness;      // edge of a lamp's shadow, as a part of a capsule's radius
   float wide_softness;       // the same for `wide_seen`
   float sine2_min;           // floor of a squared sine between ray and capsule
+  float texel_m;             // of what is swept, of a hand of scale 1
   float shade;               // how much of what skin hides of the world, and throws back, is drawn, 0..1
   int32_t layer_stride;      // floats
   int32_t lamps, slots, lobes;
@@ -78,11 +91,31 @@ struct SceneLightTask {
   int32_t keeps_visible;     // and the world is not
 };
 
+// what anchors say, in rows: of the world part rgb, bounced rgb and part of the sky; of each slot what is seen, the same
+// with wide edges and, where things of the scene stand in the light, what these leave
+constexpr int OF_WORLD = 7, OF_SLOT_MAX = 3, COLUMNS_MAX = (OF_WORLD + OF_SLOT_MAX * SLOTS_MAX + LANES - 1) / LANES * LANES;
+
+JG_INLINE int columns_per_slot(const SceneLightTask& s) { return s.left ? OF_SLOT_MAX : OF_SLOT_MAX - 1; }
+
+// Of a row of what anchors say; whole vectors.
+JG_INLINE int columns_of(const SceneLightTask& s) {
+  return (OF_WORLD + columns_per_slot(s) * s.slots + LANES - 1) / LANES * LANES;
+}
+
+JG_INLINE void store_column(float* rows, int stride, vf values) {
+  for (int lane = 0; lane < LANES; lane++) rows[stride * lane] = values[lane];
+}
+
 // Each for all anchors, the first at most sixteen blocks at a time, then `light_blocks`.
 void anchor_lamps(const LearnedTask& t, int32_t first, int32_t end);
 void anchor_world(const LearnedTask& t, int32_t anchor_block);
 void anchor_bounced(const LearnedTask& t, int32_t anchor_block);
 void anchor_evened(const LearnedTask& t, int32_t anchor_block);
+// The last two where light is swept: items of SWEEPS, anchors, items, anchors.
+void sweep_some(const LearnedTask& t, int32_t item, int32_t step);
+void anchor_again(const LearnedTask& t, int32_t anchor_block);
+void anchor_caught(const LearnedTask& t, int32_t anchor_block);
+int64_t sweep_floats(int32_t rows);
 // Keeps what lights the skin of a block in this pose, whatever the light is.
 void reflecting_block(const LearnedTask& t, int32_t block, const vf normal[3], const vf correction[CORRECTION]);
 // The matt color of blocks.

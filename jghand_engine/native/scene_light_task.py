@@ -28,6 +28,8 @@ THROWN = 10
 NUMBER = {name: place for place, name in enumerate(LAMP_NUMBERS)}
 
 
+# directions along which thrown light is swept, by so many items of work, and texels of its picture (native/bounce.cpp)
+SWEPT, SWEEPS, GRID = 64, 16, 96
 # places of the picture of a lamp that a point is compared with
 LAMP_TAPS = 16
 # lamps whose light can be drawn apart, and numbers that are kept of it (native/scene_light.h)
@@ -62,9 +64,10 @@ class SceneLightTask(ctypes.Structure):
         *((name, _P) for name in ("irradiance", "left", "baked", "depth", "lobe")),
         *((name, _P) for name in ("posed", "visible", "skin_seen", "apart", "layer", "at_pixels")),
         *((name, _P) for name in ("thrown", "beside", "bounced")),
+        *((name, _P) for name in ("area", "swept", "once", "sent", "caught", "sweeping")),
         *((name, _P) for name in ("reflecting", "sky", "reached")),
         *((name, _F32 * 3) for name in ("softness", "bounce", "least")),
-        *((name, _F32) for name in ("shade_gain", "flesh_softness", "wide_softness", "sine2_min", "shade")),
+        *((name, _F32) for name in ("shade_gain", "flesh_softness", "wide_softness", "sine2_min", "texel_m", "shade")),
         ("layer_stride", _I32),
         *((name, _I32) for name in ("lamps", "slots", "lobes", "layers", "keeps_pose", "keeps_visible")),
     )

@@ -139,7 +139,8 @@ class Backend:
         first = 0
         for avatar in avatars:
             mine = _part(self._gaussians, slice(first, first + padded_rows(len(avatar))))
-            self._hands.append(Poser(library, avatar, mine, limits_of(settings.effects)))
+            limits, sweeps = limits_of(settings.effects), settings.sharp_shadows
+            self._hands.append(Poser(library, avatar, mine, limits, sweeps=sweeps))
             first += len(mine)
         self._counts = [len(avatar) for avatar in avatars]
         self._padding = rows - sum(self._counts)
