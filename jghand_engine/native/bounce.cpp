@@ -42,6 +42,9 @@ void axes_across(const float* w, float u[3], float v[3]) {
   v[0] = w[1] * u[2] - w[2] * u[1], v[1] = w[2] * u[0] - w[0] * u[2], v[2] = w[0] * u[1] - w[1] * u[0];
 }
 
+// The least for what is no number: joints may be anywhere.
+JG_INLINE float clamped(float x, float least, float most) { return fminf(fmaxf(x, least), most); }
+
 // Where anchors are along a direction, and their order. Texels across one.
 float place(const LearnedTask& t, const float* w, Sweep& to) {
   const SceneLightTask& s = *t.scene;
@@ -75,9 +78,10 @@ float place(const LearnedTask& t, const float* w, Sweep& to) {
   const float first[2] = {floorf(least[0] * per_m) - AROUND_HAND, floorf(least[1] * per_m) - AROUND_HAND};
   int32_t count[DEPTHS + 1] = {};
   for (int32_t i = 0; i < rows; i++) {
-    to.column[i] = to.column[i] * per_m - first[0], to.row[i] = to.row[i] * per_m - first[1];
-    const int32_t depth = DEPTHS - 1 - (int32_t)((to.along[i] - least[2]) * steps);
-    to.depth[i] = depth < 0 ? 0 : depth, count[to.depth[i] + 1]++;
+    to.column[i] = clamped(to.column[i] * per_m - first[0], AROUND_HAND, GRID - 1 - AROUND_HAND);
+    to.row[i] = clamped(to.row[i] * per_m - first[1], AROUND_HAND, GRID - 1 - AROUND_HAND);
+    to.depth[i] = DEPTHS - 1 - (int32_t)clamped((to.along[i] - least[2]) * steps, 0, DEPTHS - 1);
+    count[to.depth[i] + 1]++;
   }
   for (int d = 0; d < DEPTHS; d++) count[d + 1] += count[d];
   for (int32_t i = 0; i < rows; i++) to.order[count[to.depth[i]]++] = i;
@@ -95,7 +99,7 @@ void sweep_some(const LearnedTask& t, int32_t item, int32_t step) {
   v4* caught = (v4*)s.caught + (int64_t)rows * item;
   memset(caught, 0, sizeof(v4) * (size_t)rows);
   for (int32_t k = SWEPT / SWEEPS * item; k < SWEPT / SWEEPS * (item + 1); k += step) {
-    const float texel_m = place(t, s.swept + 3 * k, at), covers = COVERS * t.skin.scale * t.skin.scale / (texel_m * texel_m);
+    const float texels = t.skin.scale / place(t, s.swept + 3 * k, at), covers = COVERS * texels * texels;
     memset(at.texels, 0, sizeof(v4) * GRID * GRID);
     for (int32_t n = 0; n < rows; n++) {
       const int32_t i = at.order[n];

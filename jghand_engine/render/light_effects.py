@@ -22,6 +22,8 @@ from jghand_engine.render.settings import RenderSettings
 # estimated cost on one core, milliseconds per Gaussian, the anchors' part in it: of a lamp, of its shadow, of what is
 # mirrored of it, of the world's shadow
 LAMP_MS, LAMP_SHADOW_MS, MIRROR_MS, WORLD_SHADOW_MS = 2e-6, 8e-6, 1.4e-6, 3e-5
+# ... and of light that stops at what stands before the skin that throws it
+SWEEP_MS = 8e-5
 # ... of a shadow with sharp edges, per Gaussian, and of the picture that it asks
 SHARP_MS, PICTURE_MS = 2e-5, 2.4
 # ... and at pixels: per Gaussian, whose light is drawn beside its color, and per pixel
@@ -78,7 +80,7 @@ def limits_of(choice: Choice) -> Limits:
 
 
 def light_decisions(
-    lit: Lit, moved_m: float | None, bones: Sequence[Bones], hands: Sequence[HandFacts], choice: Choice
+    lit: Lit, moved_m: float | None, bones: Sequence[Bones], hands: Sequence[HandFacts], settings: RenderSettings
 ) -> list[Decision]:
     """About lamps, their shadows, that of the world, and gloss. moved_m, bones: see `effects.Scene`"""
     lit_hands = [
@@ -89,6 +91,7 @@ def light_decisions(
     names = (Effect.LAMPS, Effect.LAMP_SHADOW, Effect.WORLD_SHADOW, Effect.GLOSS)
     if not lit_hands:
         return [Decision(effect, False, PAINTED) for effect in names]
+    choice = settings.effects
     light, limits, count = lit.light, limits_of(choice), sum(gaussians for *_, gaussians in lit_hands)
     each = [shares_on(light, one, joints_m)[0] for one, joints_m, _, _ in lit_hands]
     # of several hands the one that gets the most
@@ -102,7 +105,7 @@ def light_decisions(
     decisions = [
         _lamps(shares, weight, count),
         _lamp_shadows(light, shares, weight, count, choice, limits.lamp_shadow),
-        _world_shadow(*world, count, choice),
+        _world_shadow(*world, count, settings),
         _gloss(light, weight, count, choice) if mirrors else _matt(choice),
     ]
     if moved_m is not None:
@@ -258,10 +261,10 @@ def _suits_picture(light: SceneLight, points_m: np.ndarray, ball: Ball) -> np.nd
     return small * np.where(is_sun, 1, np.clip((apart - APART_LEAST) / (APART_WHOLE - APART_LEAST), 0, 1))
 
 
-def _world_shadow(shade: float, most: float, count: int, choice: Choice) -> Decision:
-    cost, lost = count * WORLD_SHADOW_MS, "{0:.2g} % of the light"
+def _world_shadow(shade: float, most: float, count: int, settings: RenderSettings) -> Decision:
+    cost, lost = count * (WORLD_SHADOW_MS + SWEEP_MS * settings.sharp_shadows), "{0:.2g} % of the light"
     why = "up to {0:.0f} % of the light is the world's or thrown back by skin"
-    if not choice.allows(Effect.WORLD_SHADOW):
+    if not settings.effects.allows(Effect.WORLD_SHADOW):
         return Decision(Effect.WORLD_SHADOW, False, NOT_CHOSEN, lost, None, cost, (100 * most,))
     if not most:
         return Decision(Effect.WORLD_SHADOW, False, "no light is on the hand", "0", 0.0, cost)

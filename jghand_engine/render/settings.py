@@ -32,7 +32,8 @@ class RenderSettings:
     shadow, shadow_samples: the self-shadow pass
     outline_px:        how far corners of a surface that ends a hand may be from the round outline of a finger, at the
                        depth of the wrist, before its faces are made finer
-    sharp_shadows:     whether shadows of small lamps end where those of the surface do (`lamp_depth`), or of capsules
+    sharp_shadows:     whether shadows of small lamps end where those of the surface do (`lamp_depth`), or of capsules,
+                       and light that skin throws at the skin before it
     correctives:       how the corrections of a trained avatar's pose are found (avatar.tiers)
     threads:           0 = as many as is sensible
     backend:           "auto", "v3", "v4" or "neon": the variant of the kernels
