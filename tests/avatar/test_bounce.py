@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from small_hands import joints_of
 from test_scene_light import EVEN_LIGHT, from_all_sides, seen, white
 
@@ -63,7 +63,7 @@ def across(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def caught(step: SceneLightStep, scale: float, sent: np.ndarray, hidden: np.ndarray, every: int) -> np.ndarray:
-    """(rows, 3) the specification, in float64 but for the order along a direction: W/m2 that anchors catch of `sent`."""
+    """(rows, 3) W/m2 that anchors catch of `sent`: the specification, in float64 but for the order along a direction."""
     numbers, area_m2 = by_rows(step.arrays["posed"]), step.arrays["area"].astype(np.float64)
     place_m, normal = numbers[:, :3], numbers[:, 3:6]
     sums, cosines = np.zeros((len(sent), 4)), np.zeros(len(sent))
@@ -118,7 +118,7 @@ def by_rays(step: SceneLightStep, bones: Bones, rows: np.ndarray) -> np.ndarray:
     corners_m = (DetailedHand.of(AVATAR, 1.0).posed_m(bones) - bones.root_m)[AVATAR.detail.faces].astype(np.float32)
     numbers, sent = by_rows(step.arrays["posed"]), by_rows(step.arrays["sent"])
     there = np.flatnonzero((numbers[:, 3:6] != 0).any(1))
-    nearest = cKDTree(np.concatenate([numbers[there, :3], 0.01 * numbers[there, 3:6]], 1))
+    nearest = KDTree(np.concatenate([numbers[there, :3], 0.01 * numbers[there, 3:6]], 1))
     a, sides = corners_m[:, 0], corners_m[:, 1:] - corners_m[:, :1]
     normal = np.cross(sides[:, 0], sides[:, 1])
     sums, cosines = np.zeros((len(rows), 3)), np.zeros(len(rows))
