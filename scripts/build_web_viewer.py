@@ -32,7 +32,7 @@ SOURCES = ROOT / "scripts" / "web_viewer"
 TARGET = ROOT / "jghand_engine" / "assets" / "web"
 PACKAGES = Path(os.environ.get("JGHAND_WEB_VIEWER") or ROOT / ".envs" / "web_viewer")
 NATIVE = ROOT / "jghand_engine" / "native"
-KERNELS = ("skeleton", "skin", "learned", "learned_cast", "learned_correction", "scene_light", "detail")
+KERNELS = ("skeleton", "skin", "learned", "learned_cast", "learned_correction", "scene_light", "bounce", "detail")
 # what pose.js calls of them: nothing else gets into it
 CALLED = (
     *("jg_bone_transforms", "jg_skin", "jg_learned_pose", "jg_learned_gloss", "jg_learned_task_bytes"),

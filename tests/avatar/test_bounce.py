@@ -63,7 +63,7 @@ def across(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def caught(step: SceneLightStep, scale: float, sent: np.ndarray, hidden: np.ndarray, every: int) -> np.ndarray:
-    """(rows, 3) W/m2 that anchors catch of `sent`: the specification, in float64 but for the order along a direction."""
+    """(rows, 3) W/m2 that anchors catch of `sent`: the specification, float64 but for the order along a direction."""
     numbers, area_m2 = by_rows(step.arrays["posed"]), step.arrays["area"].astype(np.float64)
     place_m, normal = numbers[:, :3], numbers[:, 3:6]
     sums, cosines = np.zeros((len(sent), 4)), np.zeros(len(sent))
