@@ -13,7 +13,7 @@ import tyro
 from jghand_engine.cli.console import progress, say, write_figures
 from jghand_engine.cli.failures import polite_kill_is_ctrl_c
 from jghand_engine.cli.learning import hand_template
-from jghand_engine.cli.options import CameraName, FiguresFile, File, MotionOptions, ShownAvatarOptions
+from jghand_engine.cli.options import CameraName, FiguresFile, File, LightOptions, MotionOptions, ShownAvatarOptions
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -78,15 +78,12 @@ class UsdStageOptions:
 
 
 @dataclass(frozen=True)
-class SplatFileOptions:
-    """What splat files hold"""
+class SplatFileOptions(LightOptions):
+    """What splat files hold. A light is baked into them without what skin mirrors of it"""
 
     axes: Annotated[Literal["rdf", "rub"] | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Axes of the numbers. Left out: rdf (x right, y down, z forward), which viewers expect of ply, splat and sog, or
     rub (y up), which is glTF's and SPZ's own."""
-    light: File = None
-    """Show the hand in this light, not in that of its capture: lamps and a world as JSON, as Blender writes them, or
-    the panorama of a world (.hdr, .exr, .npy); docs/LIGHT.md. Without what its skin mirrors, through sRGB's curve."""
 
 
 @dataclass(frozen=True)
@@ -207,13 +204,11 @@ class Export:
         )
 
     def _write_splats(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
-        from jghand_engine.export.light_file import read_light
         from jghand_engine.export.made_from import made_from
         from jghand_engine.export.splats.files import SplatOptions, export_splats
 
-        light = None if self.splats.light is None else read_light(self.splats.light)
         options = SplatOptions(
-            self.name, self.format, self.first_frame, self.overwrite, self.splats.axes, self.up, light
+            self.name, self.format, self.first_frame, self.overwrite, self.splats.axes, self.up, self.splats.read()
         )
         with progress(f"Writing {self.format}", len(motion.frames)) as bar:
             report = export_splats(self.out, avatar, motion.whole, options, frames=motion.frames, progress=bar.reach)

@@ -21,6 +21,7 @@ from jghand_engine.native import contract
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.avatar.scene_light import SceneLight
 
 # the widest lens, millimeters: one that sees around the hand
 APERTURE_MAX_MM = 200.0
@@ -144,6 +145,31 @@ class ShownAvatarOptions(AvatarOptions):
         from jghand_engine.avatar.forearm import ended
 
         return ended(load_avatar_called(self.avatar), forearm=self.forearm)
+
+
+@dataclass(frozen=True)
+class LightOptions:
+    """In which light the hand is shown."""
+
+    light: File = None
+    """Show the hand in this light, not in that of its capture: lamps and a world as JSON, as Blender writes them, or
+    the panorama of a world (.hdr, .exr, .npy); docs/LIGHT.md. It is shown through sRGB's curve."""
+    lamp: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(metavar="KIND:NAME=VALUE,…", help_behavior_hint="(repeatable)"),
+    ] = ()
+    """A lamp beside those of --light, or without it: sun, point, spot or area with the fields of a light file, such as
+    sun:rgb=3/2.7/2.2,place=0.8/0.6/0.6,angle=0.01."""
+
+    def read(self) -> SceneLight | None:
+        """The light; None for that of the hand's capture. InputError names what is wrong."""
+        from jghand_engine.avatar.light_records import light_of
+        from jghand_engine.export.light_file import lamp_of_words, read_light
+
+        lamps = tuple(map(lamp_of_words, self.lamp))
+        if self.light is not None:
+            return read_light(self.light, lamps)
+        return light_of(lamps, None) if lamps else None
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from jghand_engine.cli.options import (
     EffectOptions,
     FiguresFile,
     File,
+    LightOptions,
     MotionOptions,
     PictureOptions,
     ShownAvatarOptions,
@@ -53,9 +54,6 @@ class Render:
     """Where frame_00000.png and so on, and camera.json, are written."""
     video: File = None
     """Also write an MP4 video to this file, which ends in .mp4."""
-    light: File = None
-    """Show the hand in this light, not in that of its capture: lamps and a world as JSON, as Blender writes them, or
-    the panorama of a world (.hdr, .exr, .npy); docs/LIGHT.md. Pictures show it through sRGB's curve."""
     budget_ms: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
     """Instead of a preset: the best settings that draw a picture in so many milliseconds on this machine."""
     passes: Annotated[str | None, tyro.conf.arg(metavar="NAME,NAME,…", help_behavior_hint="")] = None
@@ -70,6 +68,7 @@ class Render:
     ones. A folder with pictures of another render is refused."""
     motion: MotionOptions = field(default_factory=MotionOptions)
     avatar: ShownAvatarOptions = field(default_factory=ShownAvatarOptions)
+    lighting: LightOptions = field(default_factory=LightOptions)
     picture: PictureOptions = field(default_factory=PictureOptions)
     effect: EffectOptions = field(default_factory=EffectOptions)
     json: FiguresFile = None
@@ -85,7 +84,6 @@ class Render:
         from jghand_engine.cli.timings import Receipts, Timings
         from jghand_engine.export.camera_file import camera_to_dict
         from jghand_engine.export.frame_folder import refuse_other_frames, settle_folder
-        from jghand_engine.export.light_file import read_light
         from jghand_engine.export.pass_writer import refuse_older_truth
         from jghand_engine.export.video import check_video_name, ffmpeg_program, refuse_foreign_video, write_video
         from jghand_engine.files import make_folder
@@ -100,7 +98,7 @@ class Render:
             check_video_name("--video", self.video)
             refuse_foreign_video("--video", self.video)
             ffmpeg_program()
-        light = None if self.light is None else read_light(self.light)
+        light = self.lighting.read()
         avatar = self.avatar.load()
         motion = load_motion(self.motion, avatar)
         avatar = avatar.for_hand(motion.sequence.handedness)
@@ -192,8 +190,10 @@ class Render:
         # of a file what it holds, not what it is called
         camera = self.picture.camera if file is None else file_digest(file)
         look = {**picture, **effect, "forearm": self.avatar.forearm, "passes": self.passes, "camera": camera}
-        if self.light is not None:
-            look["light"] = [file_digest(each) for each in files_of(self.light)]
+        if self.lighting.light is not None:
+            look["light"] = [file_digest(each) for each in files_of(self.lighting.light)]
+        if self.lighting.lamp:
+            look["lamps"] = self.lighting.lamp
         whole = file is None or self.effect.shutter > 0 or self.effect.aperture > 0
         avatar = avatar_sha256(self.avatar.avatar)
         stamp = render_stamp(avatar, self.motion, motion, settings, look, whole=whole)

@@ -9,13 +9,15 @@ turned by `env_from_world`.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from jghand_engine.avatar.light_records import NUMBER_MAX, lamps_of, light_of, refuse_others, turn_of
-from jghand_engine.avatar.scene_light import SceneLight, World
+from jghand_engine.avatar.light_records import NUMBER_MAX, lamp_of, lamps_of, light_of, refuse_others, turn_of
+from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
 from jghand_engine.avatar.world_suns import averaged
 from jghand_engine.errors import InputError
 from jghand_engine.export.exr import exr_package
@@ -27,15 +29,39 @@ _REMEDY = "Let Blender write it, or see docs/LIGHT.md."
 ENV_FROM_WORLD = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
-def read_light(path: Path) -> SceneLight:
-    """The light that a file describes. InputError names what is wrong."""
+def read_light(path: Path, lamps: Sequence[Lamp] = ()) -> SceneLight:
+    """The light that a file describes, with `lamps` after its own. InputError names what is wrong."""
     if path.suffix.lower() != ".json":
-        return light_of((), World(read_world_picture(path), ENV_FROM_WORLD))
+        return light_of(tuple(lamps), World(read_world_picture(path), ENV_FROM_WORLD))
     record = JsonObject.of_file(path, _REMEDY)
     if record.fields.get("format") != FORMAT or record.fields.get("version") != VERSION:
         raise record.wrong("format", f"{FORMAT} of version {VERSION}")
     refuse_others(record, ("format", "version", "lamps", "world"))
-    return light_of(lamps_of(record), _world(record.object("world"), path.parent))
+    return light_of((*lamps_of(record), *lamps), _world(record.object("world"), path.parent))
+
+
+def lamp_of_words(text: str) -> Lamp:
+    """`sun:rgb=3/2.7/2.2,angle=0.01`, a lamp as in a file, names with or without their unit. InputError as there."""
+
+    def wrong(name: str, wanted: str, came: object) -> InputError:
+        shown = "none" if came is None else str(came)[:200]
+        return InputError(f"{name} in --lamp {text}", wanted=wanted, came=shown, remedy="See docs/LIGHT.md.")
+
+    names = {re.sub("_(m|rad)$", "", field.name): field.name for field in fields(Lamp)}
+    kind, _, words = text.partition(":")
+    values = {}
+    for word in filter(None, words.split(",")):
+        name, _, value = word.partition("=")
+        found = [_number_or_flag(each) for each in value.split("/")]
+        values[names.get(name, name)] = found if len(found) > 1 else found[0]
+    return lamp_of(JsonObject({**values, "kind": kind}, wrong))
+
+
+def _number_or_flag(text: str) -> float | bool | str:
+    try:
+        return float(text)
+    except ValueError:
+        return {"true": True, "false": False}.get(text, text)
 
 
 def files_of(path: Path) -> list[Path]:

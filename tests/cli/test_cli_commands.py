@@ -170,6 +170,26 @@ def test_render_shows_the_hand_in_the_light_of_a_file(tmp_path):
     assert run(*words, *again) == 2
 
 
+def test_lamps_in_the_words_light_the_hand_as_those_of_a_file(tmp_path, capsys):
+    lamps = [{"kind": "sun", "rgb": [3, 2, 1], "place_m": [0.8, 0.6, 0.6], "angle_rad": 0.01},
+             {"kind": "point", "rgb": [0, 0, 0.2], "place_m": [0.1, 0.2, 0.3]}]  # fmt: skip
+    words = ("--lamp", "sun:rgb=3/2/1,place=0.8/0.6/0.6,angle=0.01", "--lamp", "point:rgb=0/0/0.2,place=0.1/0.2/0.3")
+    for name, kept in (("both", lamps), ("sun", lamps[:1])):
+        (tmp_path / f"{name}.json").write_text(json.dumps({"format": "jghand-light", "version": 1, "lamps": kept}))
+    lights = {"file": ("--light", tmp_path / "both.json"), "words": words,
+              "beside": ("--light", tmp_path / "sun.json", *words[2:])}  # fmt: skip
+    for name, light in lights.items():
+        command = ("render", "--poses", "open", "--frames", "0", *SMALL, "--out", tmp_path / name)
+        assert run(*command, *light) == 0
+        assert (
+            read_png(tmp_path / name / "frame_00000.png").tobytes()
+            == read_png(tmp_path / "file" / "frame_00000.png").tobytes()
+        )
+    assert run(*command, "--lamp", words[1], "--skip-existing") == 2, "another light is another render"
+    assert run(*command, "--lamp", "moon:rgb=1/1/1") == 2
+    assert "kind in --lamp moon:rgb=1/1/1" in capsys.readouterr().err
+
+
 def test_the_camera_that_render_wrote_makes_the_same_picture_again(tmp_path):
     first, again = tmp_path / "first", tmp_path / "again"
     assert run("render", "--poses", "point", "--frames", "0", "--out", first, *SMALL) == 0
@@ -431,6 +451,7 @@ def test_export_writes_a_web_page(tmp_path, capsys):
         ("web", "--axes", "rub"),
         ("web", "--light", "sky.hdr"),
         ("usd", "--light", "sky.hdr"),
+        ("usd", "--lamp", "sun:rgb=1/1/1,place=0/1/0"),
         ("web", "--up", "z"),
         ("spz", "--camera", "back"),
     ],

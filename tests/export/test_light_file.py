@@ -8,7 +8,7 @@ import pytest
 
 from jghand_engine.avatar.scene_light import Lamp, harmonics
 from jghand_engine.errors import InputError
-from jghand_engine.export.light_file import files_of, read_light
+from jghand_engine.export.light_file import files_of, lamp_of_words, read_light
 from jghand_engine.native.scene_light_task import LampKind
 
 LAMPS = (
@@ -84,3 +84,41 @@ def test_a_world_of_one_color_is_as_bright_everywhere(tmp_path):
 def test_what_is_no_light_is_refused(tmp_path, content):
     with pytest.raises(InputError):
         read_light(written(tmp_path, **content))
+
+
+# ---- lamps in one line -----------------------------------------------------------------------------------------------
+
+SUN = "sun:rgb=3/2/1,place=0.2/0.5/1,angle=0.1"
+SPOT = "spot:rgb=1/1/1,place_m=0/1/0,axis=0/-1/0,radius=0.1,is_soft=false,cone=1,blend=0.5"
+AREA = "area:rgb=1/1/1,place=0/1/0,size=0.2/0.1,is_ellipse=true,spread_rad=2,on_gloss=false"
+
+
+def test_a_lamp_in_one_line_is_that_of_a_file(tmp_path):
+    assert tuple(map(lamp_of_words, (SUN, SPOT, AREA))) == LAMPS
+    world = {"rgb": [0.2, 0.5, 1.0]}
+    beside = read_light(written(tmp_path, world=world, lamps=[record_of(LAMPS[0])]), LAMPS[1:])
+    assert beside.lamps == read_light(written(tmp_path, world=world, lamps=[record_of(lamp) for lamp in LAMPS])).lamps
+    assert beside.world is not None
+
+
+@pytest.mark.parametrize(
+    ("words", "record"),
+    [
+        ("sunn:rgb=1/1/1,place=0/1/0", {"kind": "sunn", "rgb": [1, 1, 1], "place_m": [0, 1, 0]}),
+        ("sun:rgb=1/1/1,place=0/1/0,angel=1", {"kind": "sun", "rgb": [1, 1, 1], "place_m": [0, 1, 0], "angel": 1}),
+        ("sun:place=0/1/0,rgb=1/1", {"kind": "sun", "place_m": [0, 1, 0], "rgb": [1, 1]}),
+        ("sun:place=0/1/0,rgb=1/1/nan", {"kind": "sun", "place_m": [0, 1, 0], "rgb": [1, 1, float("nan")]}),
+        ("sun:place=0/1/0,rgb", {"kind": "sun", "place_m": [0, 1, 0], "rgb": ""}),
+        ("sun:rgb=1/1/1", {"kind": "sun", "rgb": [1, 1, 1]}),
+        ("point:rgb=1/1/1,place=0/1/0,radius=wide", {"kind": "point", "rgb": [1, 1, 1], "place_m": [0, 1, 0],
+                                                     "radius_m": "wide"}),
+        ("", {"kind": ""}),
+    ],
+)  # fmt: skip
+def test_a_wrong_lamp_in_one_line_ends_in_the_error_of_a_file(tmp_path, words, record):
+    with pytest.raises(InputError) as told:
+        lamp_of_words(words)
+    with pytest.raises(InputError) as of_file:
+        read_light(written(tmp_path, lamps=[record]))
+    assert told.value.wanted == of_file.value.wanted
+    assert f"in --lamp {words}" in str(told.value)
