@@ -20,7 +20,7 @@ from jghand_engine.render.effect_plan import Effect
 from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode
 from jghand_engine.study.accuracy_growth import Growth
 from jghand_engine.study.accuracy_reference import Error
-from jghand_engine.study.accuracy_variants import AXES, TOGETHER
+from jghand_engine.study.accuracy_variants import AXES, LIGHT, TOGETHER
 
 # part by which medians of one run differ without a reason: a preset is on the front unless something is faster by more
 FRONT_NOISE = 0.05
@@ -31,6 +31,10 @@ LOOKS_SAME_DB = 45.0
 LOOKS_ALIKE_DB = 38.0
 LOOKS_CLOSE_DB = 30.0
 APPROXIMATE = "approximate creases"
+LIGHT_NOTES = (
+    "ms, dB, worst: preset final in a light of a world and three lamps; against preset reference in it, as displayed.",
+    "PSNR, gain: of a capture in known light alone, in the light of each of its pictures.",
+)
 
 Named = TypeVar("Named")
 
@@ -153,11 +157,14 @@ class Accuracy:
         )
 
     def tables(self) -> list[Table]:
-        """What can be chosen, every axis alone, growth, and the training where there is one."""
-        rows = [row for axis in AXES[1:] for row in self.rows if row.axis == axis]
+        """What can be chosen, every axis alone, passes of a scene's light, and growth."""
+        rows = [row for axis in AXES[1:] for row in self.rows if row.axis == axis != LIGHT]
+        lit = [row for row in self.rows if row.axis == LIGHT]
         found = [_table("What can be chosen", self.choices, self._notes())]
         if rows:
             found.append(_table("One thing changed alone, all else as preset final", rows, ()))
+        if lit:
+            found.append(_table("In the light of a scene, one of its passes left out", lit, LIGHT_NOTES))
         if self.growth:
             found.append(self._growth_table())
         return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -39,7 +40,7 @@ from jghand_engine.study.accuracy import (
     pareto_front,
 )
 from jghand_engine.study.accuracy_growth import Growth, Reach, growth_cases
-from jghand_engine.study.accuracy_reference import Error, ExactPictures64, pose_count, spread_poses
+from jghand_engine.study.accuracy_reference import Error, ExactPictures64, error_from, pose_count, spread_poses
 from jghand_engine.study.accuracy_variants import TOGETHER, Variant, linear_tiers, variants
 
 # frames of each setting, and those before them that are not counted (RENDERING 9.2)
@@ -61,6 +62,11 @@ class Truth:
     samples: tuple[Sample, ...]
     # which they are, in words
     origin: str
+
+    @property
+    def in_known_light(self) -> bool:
+        """Whether they are drawn in their own light, where its passes show."""
+        return all(sample.light is not None for sample in self.samples)
 
 
 @dataclass(frozen=True)
@@ -94,11 +100,13 @@ def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None
     say(f"Drawing {poses} poses in double precision")
     exact = ExactPictures64(subject, spread_poses(subject, poses))
     say(f"Comparing {len(compared)} settings with them")
-    errors = [exact.error(_drawer(variant, subject)) for variant in compared]
+    errors = _errors(compared, subject, exact)
     scores: list[TruthScore | None] = [None for _ in compared]
     if plan.truth is not None:
-        say(f"Comparing {len(compared)} settings with {len(plan.truth.samples)} pictures of the capture")
-        scores = truth_scores(compared, plan.avatar, plan.truth)
+        # passes of a scene's light, which stand last, change no other pictures
+        told = [variant for variant in compared if variant.light is None or plan.truth.in_known_light]
+        say(f"Comparing {len(told)} settings with {len(plan.truth.samples)} pictures of the capture")
+        scores[: len(told)] = truth_scores(told, plan.avatar, plan.truth)
     say(f"Measuring times: {plan.rounds} frames of each, in turn")
     measured, growth = _times(compared, subject, plan)
     rows = [
@@ -112,22 +120,28 @@ def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None
     )  # fmt: skip
 
 
+def _errors(compared: Sequence[Variant], subject: Subject, exact: ExactPictures64) -> list[Error]:
+    """From the exact pictures; in the light of a scene, for which there are none, from those of preset `reference`."""
+    errors = [exact.error(_drawer(variant, subject)) for variant in compared if variant.light is None]
+    lit = [variant for variant in compared if variant.light is not None]
+    if lit:
+        best = _drawer(replace(lit[0], settings=replace(PRESETS["reference"], antialias=False)), subject)
+        pictures = [best(pose_m)[..., :3] for pose_m in exact.poses_m]
+        errors += [error_from(pictures, exact.poses_m, _drawer(variant, subject)) for variant in lit]
+    return errors
+
+
 def _drawer(variant: Variant, subject: Subject) -> Callable[[np.ndarray], np.ndarray]:
-    renderer = HandRenderer(variant.avatar or subject.avatar, variant.settings)
-    return lambda pose_m: renderer.render(pose_m, subject.camera).rgba
+    """What a variant makes of joints (21, 3): (H, W, 4) premultiplied, as it is displayed."""
+    renderer = HandRenderer(variant.avatar or subject.avatar, variant.settings, variant.light)
+    return lambda pose_m: renderer.render(pose_m, subject.camera).displayed()
 
 
 def _times(
     compared: Sequence[Variant], subject: Subject, plan: Plan
 ) -> tuple[dict[str, list[Measurement]], list[Growth]]:
     """Measurements by the number of their variant, whole frame first, and the curves; all in one run."""
-    cases: list[Case] = [
-        replace(
-            frame_case(replace(subject, avatar=variant.avatar or subject.avatar), variant.settings, str(number)),
-            name="frame",
-        )
-        for number, variant in enumerate(compared)
-    ]
+    cases = [_case(variant, subject, str(number)) for number, variant in enumerate(compared)]
     viewport = replace(PRESETS["viewport"], reuse=False)
     cases += growth_cases(plan.avatar, plan.size_px, viewport, plan.reach)
     measured = measure(cases, rounds=plan.rounds, warm_up=min(WARM_UP, plan.rounds))
@@ -135,6 +149,16 @@ def _times(
     for one in measured:
         by_section.setdefault(one.section, []).append(one)
     return by_section, Growth.of(measured)
+
+
+def _case(variant: Variant, subject: Subject, section: str) -> Case:
+    avatar = variant.avatar or subject.avatar
+    case = frame_case(replace(subject, avatar=avatar), variant.settings, section)
+    if variant.light is not None:
+        renderer = HandRenderer(avatar, variant.settings, variant.light)
+        poses = itertools.cycle(subject.poses)
+        case = replace(case, run=lambda: renderer.render(next(poses), subject.camera).report)
+    return replace(case, name="frame")
 
 
 def _row(variant: Variant, error: Error, truth: TruthScore | None, measured: Sequence[Measurement]) -> Row:

@@ -11,7 +11,7 @@ import numpy as np
 
 from jghand_engine.study.accuracy import LOOKS_SAME_DB, Accuracy, Row, pareto_front
 from jghand_engine.study.accuracy_growth import PANELS, POSES, Growth
-from jghand_engine.study.accuracy_variants import TOGETHER
+from jghand_engine.study.accuracy_variants import LIGHT, TOGETHER
 from jghand_engine.study.report import HARMLESS, INK, OURS, PAGE, QUIET, STYLE, UNSEEN, USUAL, title
 
 if TYPE_CHECKING:
@@ -71,18 +71,20 @@ def _draw_crop(axes: Axes, row: Row) -> None:
 
 
 def _draw_front(axes: Axes, study: Accuracy) -> None:
-    values = [row.error.psnr_db for row in study.rows]
+    # in the light of a scene times and errors are others
+    rows = [row for row in study.rows if row.axis != LIGHT]
+    values = [row.error.psnr_db for row in rows]
     low, high = min(values) - 3, max(*values, LOOKS_SAME_DB) + 4
     axes.set_ylim(low, high)
     axes.axhspan(LOOKS_SAME_DB, high, color=UNSEEN, lw=0, zorder=0)
     axes.text(0.01, LOOKS_SAME_DB, "looks the same above", transform=axes.get_yaxis_transform(), fontsize=9.5,
               color=HARMLESS, va="bottom")  # fmt: skip
-    for rows, color, size in (
-        ([row for row in study.rows if row.axis != TOGETHER], "#c9c7c1", 22),
+    for group, color, size in (
+        ([row for row in rows if row.axis != TOGETHER], "#c9c7c1", 22),
         ([row for row in study.choices if not row.on_front], "#e2a48f", 46),
         (study.front, OURS, 80),
     ):
-        axes.scatter([row.median_ms for row in rows], [row.error.psnr_db for row in rows], s=size, color=color, lw=0,
+        axes.scatter([row.median_ms for row in group], [row.error.psnr_db for row in group], s=size, color=color, lw=0,
                      zorder=4)  # fmt: skip
     line = pareto_front((row.median_ms, row.error.psnr_db, row) for row in study.front)
     axes.step([row.median_ms for row in line], [row.error.psnr_db for row in line], where="post", color=OURS, lw=2.2)

@@ -55,10 +55,7 @@ class ExactPictures64:
 
     def error(self, draw: Callable[[np.ndarray], np.ndarray]) -> Error:
         """Of what `draw` makes of joints (21, 3): (H, W, 3 or 4) premultiplied."""
-        pairs = zip(self.poses_m, self.pictures, strict=True)
-        differences = [draw(pose_m)[..., :3].astype(np.float64) - picture for pose_m, picture in pairs]
-        mean_square = float(np.mean([np.square(each).mean() for each in differences]))
-        return Error(decibels(mean_square), max(float(np.abs(each).max()) for each in differences))
+        return error_from(self.pictures, self.poses_m, draw)
 
     def _posed(self, pose_m: np.ndarray) -> Gaussians:
         avatar = self._subject.avatar
@@ -80,6 +77,14 @@ class ExactPictures64:
                 style = ShadowStyle(samples, plan.strength, gain=look.gain, tint=look.tint)
                 rgb = shade(rgb, picture.alpha, picture.depth_sum, camera, style)
             return rgb.numpy() + by_detail
+
+
+def error_from(pictures: Sequence[np.ndarray], poses_m: np.ndarray, draw: Callable[[np.ndarray], np.ndarray]) -> Error:
+    """As `ExactPictures64.error`, from pictures (H, W, 3) of poses (P, 21, 3)."""
+    pairs = zip(poses_m, pictures, strict=True)
+    differences = [draw(pose_m)[..., :3].astype(np.float64) - picture for pose_m, picture in pairs]
+    mean_square = float(np.mean([np.square(each).mean() for each in differences]))
+    return Error(decibels(mean_square), max(float(np.abs(each).max()) for each in differences))
 
 
 def spread_poses(subject: Subject, count: int) -> np.ndarray:

@@ -1,6 +1,7 @@
 """What `jghand study accuracy` compares: each axis of accuracy alone, beside preset `final`, and what can be chosen.
 
-Axes: number of Gaussians, correctives of the pose, rules of the blend, resolution, shadow, stored precision, threads.
+Axes: number of Gaussians, correctives of the pose, rules of the blend, resolution, shadow, stored precision, threads,
+passes of a scene's light.
 """
 
 from __future__ import annotations
@@ -13,18 +14,26 @@ import torch
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseNetwork, largest_basis
 from jghand_engine.avatar.file import stored_form
+from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.learn.distill import distill, poses_near
 from jghand_engine.learn.tier_prices import known_poses, with_correctives
 from jghand_engine.native.threads import thread_count
 from jghand_engine.render.budget import NO_CORRECTIVES, candidates, has_seen_shadow
+from jghand_engine.render.effect_plan import CHOOSABLE, Choice, Effect
 from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode
+from jghand_engine.study.effects_in_light import world_and_lamps
 
 TOGETHER = "all together"
-GAUSSIANS, CORRECTIVES, BLEND, SHADOW, STORED, THREADS = (
-    "Gaussians", "correctives", "blend", "shadow", "stored as", "threads"
+GAUSSIANS, CORRECTIVES, BLEND, SHADOW, STORED, THREADS, LIGHT = (
+    "Gaussians", "correctives", "blend", "shadow", "stored as", "threads", "light"
 )  # fmt: skip
-AXES = (TOGETHER, GAUSSIANS, CORRECTIVES, BLEND, SHADOW, STORED, THREADS)
+AXES = (TOGETHER, GAUSSIANS, CORRECTIVES, BLEND, SHADOW, STORED, THREADS, LIGHT)
+# passes of a scene's light that are left out, by what then is missing
+PASSES = {
+    "sharp shadows": Effect.SHARP_SHADOW, "lamps' shadows": Effect.LAMP_SHADOW,
+    "the world's shadow and bounced light": Effect.WORLD_SHADOW, "gloss": Effect.GLOSS,
+}  # fmt: skip
 _SHADOW_SAMPLES = (8, 16, 32, 64)
 # prefixes of an avatar's Gaussians, and sizes of the linear form of its correctives, that are compared
 COUNTS = (10_000, 20_000, 30_000, 40_000, 60_000, 120_000)
@@ -45,10 +54,12 @@ class Variant:
     avatar: HandAvatar | None = None
     # the command that makes that avatar, where it can be had
     made_by: str = ""
+    # of the scene that it stands in; None: the hand's own
+    light: SceneLight | None = None
 
 
 def variants(avatar: HandAvatar, size_px: tuple[int, int], linear: Mapping[int, LinearCorrectives]) -> list[Variant]:
-    """All variants. linear: tiers of the correctives by size, see `linear_tiers`"""
+    """All variants, those in the light of a scene last. linear: tiers of the correctives by size, see `linear_tiers`"""
     own = replace(PRESETS["final"], reuse=False)
     found = [
         Variant(TOGETHER, name, replace(settings, reuse=False))
@@ -70,7 +81,7 @@ def variants(avatar: HandAvatar, size_px: tuple[int, int], linear: Mapping[int, 
     found.append(Variant(STORED, "float32", own))
     found.append(Variant(STORED, "float16 and smaller", own, stored_form(avatar, Storage.COMPACT)))
     found += [Variant(THREADS, str(count), replace(own, threads=count)) for count in _thread_counts()]
-    return found
+    return [*found, *_lights(avatar, own)]
 
 
 def _shadows(avatar: HandAvatar, own: RenderSettings) -> Iterator[Variant]:
@@ -83,6 +94,16 @@ def _shadows(avatar: HandAvatar, own: RenderSettings) -> Iterator[Variant]:
         for samples in _SHADOW_SAMPLES:
             settings = replace(own, shadow=ShadowMode.ALWAYS, shadow_samples=samples)
             yield Variant(SHADOW, f"drawn although nobody sees it, {samples} samples", settings)
+
+
+def _lights(avatar: HandAvatar, own: RenderSettings) -> Iterator[Variant]:
+    if avatar.learned is None or avatar.learned.cast is None:
+        return  # no scene can light it
+    light = world_and_lamps()
+    yield Variant(LIGHT, "whole", own, light=light)
+    for name, effect in PASSES.items():
+        without = replace(own, effects=Choice(frozenset(CHOOSABLE) - {effect}))
+        yield Variant(LIGHT, f"without {name}", without, light=light)
 
 
 def linear_tiers(avatar: HandAvatar) -> dict[int, LinearCorrectives]:

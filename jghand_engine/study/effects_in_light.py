@@ -48,6 +48,12 @@ class LightRow:
     skipped: list[str] = field(default_factory=list)
 
 
+def world_and_lamps() -> SceneLight:
+    """A sky above a ground, and LAMPS."""
+    up = np.where(np.arange(16)[:, None, None] < 8, SKY, GROUND)
+    return SceneLight(World(np.broadcast_to(up, (16, 32, 3)), np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])), LAMPS)
+
+
 def measure_lights(subject: Subject, settings: RenderSettings) -> list[LightRow]:
     """Frames of a motion in the light that the hand has where no scene lights it, and in several of scenes, drawn in
     turn, so that a busy machine hits all alike; in the last a lamp moves around a hand at rest. None for a hand that no
@@ -55,14 +61,14 @@ def measure_lights(subject: Subject, settings: RenderSettings) -> list[LightRow]
     learned = subject.avatar.learned
     if learned is None or learned.cast is None:
         return []
-    up = np.where(np.arange(16)[:, None, None] < 8, SKY, GROUND)
-    world = World(np.broadcast_to(up, (16, 32, 3)), np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]))
+    whole = world_and_lamps()
+    world = whole.world
     picked = np.linspace(0, len(subject.poses) - 1, FRAMES).astype(int)
     moving, resting = subject.poses[picked], np.repeat(subject.poses[:1], FRAMES, 0)
     always: dict[str, SceneLight | None] = {
         "the hand's own": None,
         "a world": SceneLight(world),
-        "a world and 3 lamps": SceneLight(world, LAMPS),
+        "a world and 3 lamps": whole,
         "and a weak lamp": SceneLight(world, (*LAMPS, WEAK)),
     }
     dragged = [SceneLight(world, (_turned(KEY, DRAG_RAD * frame), *LAMPS[1:])) for frame in range(FRAMES)]

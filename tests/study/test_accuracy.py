@@ -13,6 +13,7 @@ from jghand_engine.captures.sample import load_image
 from jghand_engine.learn.evaluate import AvatarPicturer
 from jghand_engine.learn.metrics import psnr
 from jghand_engine.native.library import runnable_variants
+from jghand_engine.render.effect_plan import CHOOSABLE, OF_SCENE, Effect
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.render.subject import Subject, moving_subject
@@ -22,7 +23,16 @@ from jghand_engine.study.accuracy import Accuracy, Row, TruthScore, faster_than,
 from jghand_engine.study.accuracy_growth import GAUSSIANS, HANDS, PIXELS, POSES, Reach
 from jghand_engine.study.accuracy_measures import Plan, measure_accuracy
 from jghand_engine.study.accuracy_reference import Error, ExactPictures64, spread_poses
-from jghand_engine.study.accuracy_variants import AXES, CORRECTIVES, THREADS, TOGETHER, linear_tiers, variants
+from jghand_engine.study.accuracy_variants import (
+    AXES,
+    CORRECTIVES,
+    LIGHT,
+    PASSES,
+    THREADS,
+    TOGETHER,
+    linear_tiers,
+    variants,
+)
 
 SMALL = (48, 32)
 SHORT = Reach((200, 400), ((24, 16), (48, 32)), (1, 2), (1, 5))
@@ -60,7 +70,8 @@ def test_every_axis_is_compared_and_changes_only_itself():
         changed = {name for name in vars(final) if getattr(one.settings, name) != getattr(final, name)}
         allowed = {"Gaussians": {"gaussians"}, CORRECTIVES: {"effects"}, "blend": {"alpha_min", "t_stop"},
                    "shadow": {"shadow", "shadow_samples"}, "stored as": set(),
-                   THREADS: {"threads"}}  # fmt: skip
+                   THREADS: {"threads"}, LIGHT: {"effects"}}  # fmt: skip
+        assert (one.light is not None) == (one.axis == LIGHT)
         assert one.axis == TOGETHER or changed <= allowed[one.axis]
     assert [one.name for one in found if one.axis == CORRECTIVES] == [
         "off", "linear, K = 2", "linear, K = 3", "exact"
@@ -68,9 +79,27 @@ def test_every_axis_is_compared_and_changes_only_itself():
     assert [one.name for one in found if one.axis == "Gaussians"] == ["0.05k", "0.1k"]
 
 
-def test_a_painted_hand_has_no_correctives_to_compare():
+def test_a_painted_hand_has_neither_correctives_nor_a_scenes_light_to_compare():
     found = variants(small_avatar(100), SMALL, linear_tiers(small_avatar(100)))
-    assert not [one for one in found if one.axis == CORRECTIVES]
+    assert not [one for one in found if one.axis in (CORRECTIVES, LIGHT)]
+
+
+def test_in_the_light_of_a_scene_each_row_leaves_out_its_pass():
+    lit = [one for one in variants(trained_avatar(60), SMALL, {}) if one.light is not None]
+    forbidden = {one.name: {each for each in CHOOSABLE if not one.settings.effects.allows(each)} for one in lit}
+    assert forbidden == {"whole": set()} | {f"without {name}": {effect} for name, effect in PASSES.items()}
+    assert set(PASSES.values()) == OF_SCENE - {Effect.LAMPS}
+
+
+@needs_native
+def test_the_light_of_a_scene_that_is_compared_calls_for_every_pass():
+    subject = subject_of(coarse_builtin(1000, texels=64))
+    whole = next(one for one in variants(subject.avatar, SMALL, {}) if one.light is not None)
+    plan = (
+        HandRenderer(subject.avatar, whole.settings, whole.light).render(subject.poses[0], subject.camera).report.plan
+    )
+    assert plan is not None
+    assert all(plan.runs(each) for each in OF_SCENE)
 
 
 # ---- errors ----------------------------------------------------------------------------------------------------------
@@ -145,6 +174,30 @@ def test_everything_is_measured_together(study):
     assert by_name["draft"].crop is not None
     assert found.poses == 2
     assert found.gaussians == len(plan.avatar)
+
+
+@needs_native
+def test_in_the_light_of_a_scene_a_pass_that_is_left_out_is_seen(study):
+    whole, *parts = [row.error.psnr_db for row in study[1].rows if row.axis == LIGHT]
+    sharp, *others = parts
+    # a hand without a surface has no sharp shadows
+    assert whole == sharp > max(others) + 10
+    table = next(one for one in study[1].tables() if one.title.startswith("In the light of a scene"))
+    assert [row[0] for row in table.rows] == ["light: whole", *(f"light: without {name}" for name in PASSES)]
+
+
+@needs_native
+@pytest.mark.parametrize("lit", [True, False])
+def test_passes_of_a_scenes_light_are_compared_with_pictures_in_known_light_alone(tmp_path, lit):
+    avatar = known_avatar(300)
+    folder = write_lit_capture(tmp_path, avatar) if lit else write_small_capture(tmp_path)
+    truth = accuracy_measures.held_out_truth(avatar, folder, lambda _: None, pictures=2)
+    rows = measure_accuracy(Plan(avatar, "small", SMALL, truth, 1, SHORT)).rows
+    gains = {row.name: row.truth.gain_db for row in rows if row.axis == LIGHT and row.truth is not None}
+    assert len(gains) == lit * (1 + len(PASSES))
+    assert all(row.truth is not None for row in rows if row.axis != LIGHT)
+    if lit:
+        assert gains["without lamps' shadows"] < gains["whole"] - 0.1
 
 
 @needs_native
