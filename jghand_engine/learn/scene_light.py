@@ -35,7 +35,7 @@ from jghand_engine.native.scene_light_task import NUMBER, LampKind
 CORNER_MIN, CORNER_MAX = 0.02, 0.95
 DISTANCE2_MIN = 1e-12
 FACING_MIN = 1e-3
-GRAZING_GAIN, GRAZING_FROM = 0.5, 50.0
+GRAZING_FROM = 50.0
 EDGE_GAIN = 100.0
 FACING_SUM_MIN = 1e-9
 CAUGHT_MIN = 0.01
@@ -304,7 +304,7 @@ def towards_eye(
     facing = (skin.normal * eye).sum(-1)
     cosine_eye, alpha = facing.clamp_min(FACING_MIN), response.roughness.square()
     k, rgb = alpha / 2, matt_rgb
-    rise = GRAZING_GAIN * (GRAZING_FROM * response.reflectance).clamp_max(1)
+    rise = (GRAZING_FROM * response.reflectance).clamp_max(1)
     for row in lamps.rows:
         direction, strength, sine = lamp_at(row, skin.position_m)
         half = unit(direction + eye)
@@ -318,10 +318,12 @@ def towards_eye(
         rgb = rgb + shine[:, None] * float(row[NUMBER["on_gloss"]]) * rgb.new_tensor(row[6:9])
     if light.world is not None:
         lobes = rgb.new_tensor(mirrored(light.world, response.roughness.detach().double().cpu().numpy()))
-        to_mirror = 2 * facing[:, None] * skin.normal - eye
-        sharp = lobes[:, 3:4]
-        sky = (lobes[:, 4:].T @ torch.exp(sharp * lobes[:, :3] @ to_mirror.T - sharp)).T
         rough = response.roughness
+        # between the normal and the mirrored direction
+        part = (1 - rough) * ((1 - rough).sqrt() + rough)
+        to_mirror = torch.lerp(skin.normal, 2 * facing[:, None] * skin.normal - eye, part[:, None])
+        sharp = lobes[:, 3:4]
+        sky = (lobes[:, 4:].T @ torch.exp(sharp * lobes[:, :3] @ unit(to_mirror).T - sharp)).T
         r0, r1 = 1 - rough, 0.0425 - 0.0275 * rough
         r2, r3 = 1.04 - 0.572 * rough, 0.022 * rough - 0.04
         base = torch.minimum(r0 * r0, torch.exp2(-9.28 * cosine_eye)) * r0 + r1

@@ -13,7 +13,6 @@ constexpr float PI = 3.14159265358979f;
 constexpr float DISTANCE2_MIN = 1e-12f;                   // m2, of a point at a lamp or at skin
 constexpr float CORNER_MIN = 0.02f, CORNER_MAX = 0.95f;   // of a cosine's rounded corner
 constexpr float FACING_MIN = 1e-3f;                       // cosine to the eye, as a divisor
-constexpr float GRAZING_GAIN = 0.5f;                      // of Fresnel's rise, on skin
 constexpr float GRAZING_FROM = 50.f;                      // what reflects less than 1 / 50 does not rise to all of it
 constexpr float FAR_COSINE_MIN = 1e-4f;                   // of an area's axis, as a divisor
 constexpr float MASKED_MIN = 1e-6f;                       // of rows without skin, whose roughness is 0
@@ -484,7 +483,7 @@ void seen_block(const LearnedTask& t, int32_t block) {
   const int64_t row = LANES * (int64_t)block;
   const float *matt = t.matt + MATT * row, *material = s.material + MATERIAL * row;
   const vf rough = load(material + LANES), reflectance = load(material + 2 * LANES), alpha = rough * rough;
-  const vf rise = GRAZING_GAIN * min(GRAZING_FROM * reflectance, all(1.f));
+  const vf rise = min(GRAZING_FROM * reflectance, all(1.f));
   vf p[3], n[3], eye[3], rgb[3], mirrored[3];
   load_triples(t.skin.position + 3 * row, p[0], p[1], p[2]);
   for (int i = 0; i < 3; i++) {
@@ -532,7 +531,11 @@ void seen_block(const LearnedTask& t, int32_t block) {
     for (int i = 0; layer >= 0 && i < 3; i++) glossy[layer][i] += open_shine * lamp[LAMP_RGB + i];
   }
   if (s.lobes) {
-    for (int i = 0; i < 3; i++) mirrored[i] = 2.f * facing * n[i] - eye[i];
+    // rough skin mirrors most of what is between the mirrored direction and its normal: Lagarde and de Rousiers, "Moving
+    // Frostbite to physically based rendering", 2014
+    const vf smoothness = 1.f - rough, part = smoothness * (sqrt(smoothness) + rough);
+    for (int i = 0; i < 3; i++) mirrored[i] = n[i] + part * (2.f * facing * n[i] - eye[i] - n[i]);
+    make_unit(mirrored, t.length2_min);
     vf lobes[3] = {};
     add_lobes(s.lobe, s.lobes, mirrored, lobes);
     // how much of an even light GGX mirrors: Karis, "Physically Based Shading on Mobile", 2014
