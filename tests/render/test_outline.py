@@ -24,8 +24,8 @@ from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 
 DRAWN = RenderSettings(shadow=ShadowMode.OFF, antialias=False, threads=2, effects=Choice.parse("all"))
-# native/detail.cpp: samples along a side of a pixel, and alpha from which on it is filled up
-ALONG, FILLED_FROM = 4, 1 / 64
+# native/detail.cpp: samples of a pixel, and alpha from which on it is filled up
+SAMPLES, FILLED_FROM = 16, 1 / 64
 
 
 @cache
@@ -58,12 +58,24 @@ def drawn(avatar: HandAvatar, name: str = "open", seen: Camera | None = None, se
     return HandRenderer(avatar, settings).render(pose(name, avatar.handedness), seen or camera())
 
 
+@cache
+def film() -> np.ndarray:
+    """(SAMPLES, 2) places around the middle of a pixel, pixels: a Hammersley set under Blender's Blackman-Harris filter."""
+    at = np.linspace(-1.5, 1.5, 300_001)
+    wave = 2 * np.pi * (at / 3 + 0.5)
+    weight = 0.35875 - 0.48829 * np.cos(wave) + 0.14128 * np.cos(2 * wave) - 0.01168 * np.cos(3 * wave)
+    numbers = np.arange(SAMPLES)
+    reversed_bits = [int(f"{number:04b}"[::-1], 2) for number in numbers]
+    even = (np.stack([numbers, reversed_bits], 1) + 0.5) / SAMPLES
+    return np.interp(even, np.cumsum(weight) / weight.sum(), at)
+
+
 def covered(avatar: HandAvatar, name: str, seen: Camera) -> np.ndarray:
-    """(H, W) the part of each pixel that the surface covers, by the centers of sixteen smaller ones."""
-    finer = replace(seen, **{side: ALONG * getattr(seen, side) for side in ("width", "height", "fx", "fy", "cx", "cy")})
+    """(H, W) the part of each pixel that the surface covers, by pictures in which each sample is the middle of one."""
     bones = avatar.skeleton().bones(pose(name, avatar.handedness))
-    face, _ = SurfaceHits(native_library.load(), DetailedHand.of(avatar, 1.0))(bones, finer)
-    return (face >= 0).reshape(seen.height, ALONG, seen.width, ALONG).mean((1, 3))
+    hits = SurfaceHits(native_library.load(), DetailedHand.of(avatar, 1.0))
+    each = [hits(bones, replace(seen, cx=seen.cx - x, cy=seen.cy - y))[0] >= 0 for x, y in film()]
+    return np.mean(each, 0)
 
 
 @pytest.mark.parametrize("handedness", list(Handedness))
@@ -78,7 +90,7 @@ def test_alpha_is_the_part_of_a_pixel_that_the_surface_covers(name, orthographic
     # faces reach 1/512 of a pixel over their edges, of the smaller ones: a sample between the two is another's in 2.3 %
     # of the pixels of an outline. Observed: 1.6 to 2.6 %
     assert (error > 1e-5).sum() <= 0.05 * ((part > 0) & (part < 1)).sum()
-    assert error.max() <= 2 / ALONG**2 + 1e-5
+    assert error.max() <= 2 / SAMPLES + 1e-5
 
 
 def test_what_is_left_of_a_pixel_keeps_its_color():
@@ -101,7 +113,7 @@ def test_gaussians_that_reach_farther_than_the_skin_are_not_seen_there():
     far = covered(hand(), "open", camera()) == 0
     assert (drawn(hand(ends_hand=False, grown=3.0)).rgba[far, 3] > 0.1).sum() > 500
     # of what a face reaches over its edge one sample may be seen
-    assert drawn(hand(grown=3.0)).rgba[far, 3].max() <= 1 / ALONG**2
+    assert drawn(hand(grown=3.0)).rgba[far, 3].max() <= 1 / SAMPLES
     assert (drawn(hand(grown=3.0)).rgba[far, 3] > 0).sum() < 10
 
 
@@ -109,7 +121,7 @@ def test_a_part_of_a_picture_has_the_pixels_of_the_whole():
     whole, part = drawn(hand()).rgba, drawn(hand(), seen=camera().part(13, 17, 90, 80)).rgba
     apart = np.abs(part - whole[17:97, 13:103]).max(-1)
     # a sample on an edge may count or not
-    assert (apart > 2e-5).sum() < 5
+    assert (apart > 2e-5).sum() < 10
     assert apart.max() < 0.1
 
 
@@ -209,4 +221,4 @@ def test_in_the_light_of_a_scene_it_is_the_same():
     outside = covered(changed(lit, ends_hand=False), "open", seen) == 0
     assert (rgba[outside, 3] > 0).sum() < 10
     without = HandRenderer(changed(lit, ends_hand=False), DRAWN, light).render(pose("open"), seen).rgba
-    assert (without[outside, 3] > 0.01).sum() > 200
+    assert (without[outside, 3] > 0.01).sum() > 100
