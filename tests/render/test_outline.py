@@ -60,7 +60,7 @@ def drawn(avatar: HandAvatar, name: str = "open", seen: Camera | None = None, se
 
 @cache
 def film() -> np.ndarray:
-    """(SAMPLES, 2) places around the middle of a pixel, pixels: a Hammersley set under Blender's Blackman-Harris filter."""
+    """(SAMPLES, 2) places around the middle of a pixel, pixels: a Hammersley set under a Blackman-Harris filter."""
     at = np.linspace(-1.5, 1.5, 300_001)
     wave = 2 * np.pi * (at / 3 + 0.5)
     weight = 0.35875 - 0.48829 * np.cos(wave) + 0.14128 * np.cos(2 * wave) - 0.01168 * np.cos(3 * wave)
