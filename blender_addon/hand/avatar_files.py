@@ -31,6 +31,11 @@ LOOK_S = 1.0
 _HEADER_MAX_BYTES = 65_536
 # letters of a text on a card
 _TEXT_MAX = 300
+# of hands that answer any light, by the kind of light that they learned in
+_IN_SCENE_LIGHT = {
+    "known": "Lit by lamps and world",
+    "estimated": "Lit by lamps and world: its skin was estimated together with the light of its film",
+}
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,8 @@ class Card:
     accuracy:     in words; "" when nothing was learned
     gaussians:    how many there are
     learned:      whether its colors change with the pose
-    known_light:  whether it learned in known light, so that it answers any; of another learned one that is estimated
+    light:        that it learned in: known, so that it answers any; estimated together with its skin, of a film, and
+                  answers any too; learnt with its colors, so that its answer is estimated
     has_forearm:  whether its skin goes on behind the wrist
     joints_m:     21 places, standard order, of its right hand at rest; None where they are the canonical hand's
     """
@@ -56,7 +62,7 @@ class Card:
     accuracy: str
     gaussians: int
     learned: bool
-    known_light: bool = False
+    light: str = "learnt"
     has_forearm: bool = False
     joints_m: tuple[tuple[float, float, float], ...] | None = None
 
@@ -65,11 +71,14 @@ class Card:
         """How it answers the light of a scene, in a sentence."""
         if not self.learned:
             return "Shines with its own colors: lamps do not light it"
-        return (
-            "Lit by lamps and world"
-            if self.known_light
-            else "Lit by lamps and world, as is estimated: the light of its pictures is unknown"
+        return _IN_SCENE_LIGHT.get(
+            self.light, "Lit by lamps and world, as is estimated: the light of its pictures is unknown"
         )
+
+    @property
+    def answers_light(self) -> bool:
+        """Whether it is made for the light of a scene: an own hand as one of known light."""
+        return self.light in _IN_SCENE_LIGHT
 
     def lines(self) -> list[tuple[str, str]]:
         rows = [
@@ -95,7 +104,7 @@ SHIPPED_CARDS = {
         "preset final; times on Intel(R) Xeon(R) Processor (family 6), 2 threads",
         gaussians=40_000,
         learned=True,
-        known_light=True,
+        light="known",
         has_forearm=True,
     ),
     "painted": Card(
@@ -185,7 +194,7 @@ def _card(about: Mapping[str, Any], written: str) -> Card:
         accuracy=_accuracy(learned.get("baked") or {}) if learned else "",
         gaussians=int(about["gaussians"]),
         learned=bool(learned),
-        known_light=(learned.get("light") or {}).get("kind") == "known",
+        light=_text((learned.get("light") or {}).get("kind", "learnt")),
         has_forearm=str(about.get("template")).endswith("-forearm"),
         joints_m=_joints(about.get("own_joints_m")),
     )

@@ -171,11 +171,11 @@ def is_chosen(scene: bpy.types.Scene) -> bool:
 
 def follow(scene: bpy.types.Scene, given: Collection[bpy.types.Object]) -> None:
     """Hands were given their avatars: where these are all hands of a scene, and no artist chose its light, that follows
-    what they learned in. Known light answers the scene's."""
+    whether they answer the scene's."""
     is_free = LIGHT_OF_HANDS in scene or not scene.jghand.is_property_set("light")
     hands = (hand for thing in scene.objects for hand in seen_hands.hands_below(thing))
     if is_free and scene.is_editable and all(hand in given for hand in hands):
-        scene.jghand.light = "SCENE" if all(map(_learned_in_known_light, given)) else "CAPTURE"
+        scene.jghand.light = "SCENE" if all(map(_answers_light, given)) else "CAPTURE"
         scene[LIGHT_OF_HANDS] = True
 
 
@@ -191,9 +191,9 @@ def on_import(imported: bpy.types.BlendImportContext, *_: Any) -> None:
         follow(bpy.context.scene, hands)
 
 
-def _learned_in_known_light(hand: bpy.types.Object) -> bool:
+def _answers_light(hand: bpy.types.Object) -> bool:
     try:
-        return avatar_files.card_of(seen_hands.avatar_of(hand)).known_light
+        return avatar_files.card_of(seen_hands.avatar_of(hand)).answers_light
     except JGHandFailure:  # the panel of hands says why
         return False
 

@@ -29,7 +29,7 @@ def test_the_cards_of_avatars_that_come_with_jghand_are_those_of_their_files(nam
     read = read_card(ASSETS / file)
     assert read.written
     assert [line for line in read.lines() if line[0] != "Written"] == card_of(name).lines()
-    for fact in ("gaussians", "learned", "known_light", "has_forearm"):
+    for fact in ("gaussians", "learned", "light", "has_forearm"):
         assert getattr(read, fact) == getattr(SHIPPED_CARDS[name], fact)
 
 
@@ -39,17 +39,21 @@ def test_a_painted_avatar_says_that_nothing_was_learned():
 
 
 @pytest.mark.parametrize(
-    ("learnt", "wanted"),
+    ("learnt", "wanted", "answers"),
     [
-        ({"light": {"kind": "known"}}, "Lit by lamps and world"),
-        ({"light": {"kind": "learnt"}}, "Lit by lamps and world, as is estimated"),
-        ({"lobes": 8}, "Lit by lamps and world, as is estimated"),  # as files were written before light could be known
-        (None, "Shines with its own colors"),
+        ({"light": {"kind": "known"}}, "Lit by lamps and world", True),
+        # an own hand
+        ({"light": {"kind": "estimated"}}, "Lit by lamps and world: its skin was estimated together", True),
+        ({"light": {"kind": "learnt"}}, "Lit by lamps and world, as is estimated:", False),
+        # as files were written before light could be known
+        ({"lobes": 8}, "Lit by lamps and world, as is estimated:", False),
+        (None, "Shines with its own colors:", False),
     ],
 )
-def test_a_card_says_how_its_hand_answers_the_light_of_a_scene(tmp_path, learnt, wanted):
+def test_a_card_says_how_its_hand_answers_the_light_of_a_scene(tmp_path, learnt, wanted, answers):
     card = read_card(write_avatar(tmp_path / "a.jghand", name="a", gaussians=7, learnt=learnt))
-    assert card.in_scene_light.partition(":")[0] == wanted
+    assert card.in_scene_light.startswith(wanted)
+    assert card.answers_light == answers
 
 
 @pytest.mark.parametrize(

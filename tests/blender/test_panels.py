@@ -1,6 +1,5 @@
 """Every panel draws in every state of a scene, with what Blender's layouts take, and says what an artist needs."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import bpy
@@ -12,7 +11,7 @@ from test_avatar_cards import write_avatar
 from blender_addon import registration
 from blender_addon.core.poses import ALL_POSES
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand import armature, avatar_files, controls, seen_hands
+from blender_addon.hand import armature, controls, seen_hands
 from blender_addon.hand import panel as hand_panel
 from blender_addon.hand import poses as pose_library
 from blender_addon.render import panel as picture
@@ -310,9 +309,6 @@ def test_an_avatar_that_is_loaded_is_told_of(extension, engine):
 def test_the_light_panel_says_how_each_hand_answers_the_light_of_the_scene(extension, engine, monkeypatch, tmp_path):
     light = picture.LightPanel
     add()
-    monkeypatch.setitem(
-        avatar_files.SHIPPED_CARDS, "builtin", replace(avatar_files.SHIPPED_CARDS["builtin"], known_light=True)
-    )
     assert "Lit by lamps and world" in text_of(draw(light, extension))
     add("left").jghand.avatar = str(write_avatar(tmp_path / "a.jghand", name="a", gaussians=7, learnt={"lobes": 8}))
     seen_hands.forget()

@@ -126,8 +126,9 @@ def test_a_run_without_a_window_has_the_pixels_of_f12(scene, real_engine, engine
 
 @pytest.fixture
 def avatars(tmp_path) -> dict[str, str]:
-    """Files of one that learned in known light, of one that learned in an unknown one, and of a painted one."""
-    learnt = {"known": {"light": {"kind": "known"}}, "unknown": {"light": {"kind": "learnt"}}, "painted": None}
+    """Files of one that learned in known light, of a film's, of one that learned in unknown light, of a painted one."""
+    kinds = {"known": "known", "film": "estimated", "unknown": "learnt"}
+    learnt = {name: {"light": {"kind": kind}} for name, kind in kinds.items()} | {"painted": None}
     return {
         kind: str(write_avatar(tmp_path / f"{kind}.jghand", name=kind, gaussians=3, learnt=about))
         for kind, about in learnt.items()
@@ -137,7 +138,7 @@ def avatars(tmp_path) -> dict[str, str]:
 def test_the_first_hand_is_lit_by_the_scene_if_it_learned_in_known_light(context, monkeypatch):
     for known in (True, False):
         bpy.ops.wm.read_factory_settings(use_empty=True)
-        card = replace(avatar_files.SHIPPED_CARDS["builtin"], known_light=known)
+        card = replace(avatar_files.SHIPPED_CARDS["builtin"], light="known" if known else "learnt")
         monkeypatch.setitem(avatar_files.SHIPPED_CARDS, "builtin", card)
         bpy.ops.jghand.add_hand()
         assert scene_light.is_chosen(bpy.context.scene) == known
@@ -146,7 +147,8 @@ def test_the_first_hand_is_lit_by_the_scene_if_it_learned_in_known_light(context
 def test_a_loaded_avatar_decides_on_the_light_until_an_artist_has(context, avatars):
     bpy.ops.jghand.add_hand()
     settings = context.scene.jghand
-    for kind, light in (("known", "SCENE"), ("unknown", "CAPTURE"), ("known", "SCENE"), ("painted", "CAPTURE")):
+    lights = ("known", "SCENE"), ("unknown", "CAPTURE"), ("film", "SCENE"), ("painted", "CAPTURE")
+    for kind, light in lights:
         bpy.ops.jghand.load_avatar(filepath=avatars[kind])
         assert settings.light == light
     settings.light = "CAPTURE"
