@@ -70,7 +70,9 @@ def wanted_hand(found: FoundHands, looked: Looked, name: str, wanted: Handedness
             raise InputError(name, wanted=f"a {wanted} hand", came=came, remedy=remedy)
         return found.hands[wanted]
     if not found.hands:
-        raise InputError(name, wanted="a hand", came="none in any picture", remedy=remedy)
+        few = next(iter(found.doubted.values()), None)
+        came = "none in any picture" if few is None else f"one in {few.seen.sum()} of {len(few.seen)} pictures"
+        raise InputError(name, wanted="a hand", came=came, remedy=remedy)
     first, *others = sorted(found.hands.values(), key=lambda hand: -hand.seen.sum())
     for other in others:
         if other.seen.mean() > OTHER_HAND_PART_MAX:
@@ -82,7 +84,11 @@ def wanted_hand(found: FoundHands, looked: Looked, name: str, wanted: Handedness
 def seen_findings(looked: Looked, hand: HandOverTime) -> list[Finding]:
     """Of the whole film: whether the hand is seen, and sharp."""
     seen, findings = hand.seen, []
-    if seen.mean() < SEEN_PART_MIN:
+    if not looked.is_film and not seen.all():
+        numbers = ", ".join(str(number + 1) for number in np.flatnonzero(~seen))
+        findings.append(Finding("hand found", f"Photographs without a hand are left out: {numbers}. Take others, the "
+                                "hand large, with its wrist, on a plain wall."))  # fmt: skip
+    elif seen.mean() < SEEN_PART_MIN:
         at = _seen_at(looked, ~seen)
         findings.append(Finding("hand found", f"The hand is seen in {seen.sum()} of {len(seen)} pictures; it is not{at}"
                                 ". Film it larger, with its wrist, on a plain wall."))  # fmt: skip

@@ -125,10 +125,6 @@ def begin(source: Source, prior: HandAvatar, options: OwnOptions, detector: Hand
     notes: list[str] = []
     looked = look(source, detector, lambda done: told("Looking for the hand", done, source.count or done), notes)
     hand = wanted_hand(hands_over_time(looked.sightings.frames, source.fps), looked, source.name, options.hand)
-    if not source.is_film and not hand.seen.all():
-        number = int(np.flatnonzero(~hand.seen)[0]) + 1
-        remedy = "Take another one, or leave it out."
-        raise InputError(f"photograph {number}", wanted="a hand", came="none", remedy=remedy)
     begun = best_pictures(source, prior, options, looked, hand)
     pictures, start = begun.pictures, begun.start
     zones = hand_zones(prior, start.joints_m, start.landmarks_px, start.camera)

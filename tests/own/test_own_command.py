@@ -21,9 +21,10 @@ from jghand_engine.export.video import write_video
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.motion.read import read_motion_file
 from jghand_engine.own import make
-from jghand_engine.own.checks import Finding
+from jghand_engine.own.checks import Finding, refuse
+from jghand_engine.own.film import PHOTOGRAPH_FPS, Source
 from jghand_engine.own.hand_fit import Effort, FittedHand
-from jghand_engine.own.make import OwnOptions, explain, work_folder
+from jghand_engine.own.make import Begun, OwnOptions, begin, explain, work_folder
 from jghand_engine.own.shape import SHAPE_COUNT
 from jghand_engine.own.start import Start
 from jghand_engine.track import mediapipe_hands
@@ -38,10 +39,13 @@ LEAST_S = 30.0
 
 
 class Known:
-    """A detector that knows the film by heart."""
+    """A detector that knows the film by heart, or photographs of it."""
+
+    def __init__(self, fps: float = FPS) -> None:
+        self._fps = fps
 
     def detect(self, rgb8: np.ndarray, time_s: float) -> list[SeenHand]:
-        hand = seen(JOINTS_M[round(time_s * FPS)], RIGHT)
+        hand = seen(JOINTS_M[round(time_s * self._fps)], RIGHT)
         return [replace(hand, image_px=hand.image_px * SCALE)] if rgb8.std() > 1 else []
 
 
@@ -116,6 +120,25 @@ def test_a_film_without_a_hand_ends_with_2_and_words(tmp_path, capsys):
     write_video(tmp_path / "wall.mp4", [np.full((96, 128, 3), 90, np.uint8)] * 6, FPS)
     assert main(["own", str(tmp_path / "wall.mp4"), "--check"]) == 2
     assert "wanted a hand, got none in any picture. Film it large" in capsys.readouterr().err
+
+
+def photographs(walls: list[int]) -> Source:
+    """Five, of which some show nothing but a wall."""
+    shown = film_of(CAMERA.project(JOINTS_M[:5]) * SCALE, SKIN).rgb_u8
+    shown[walls] = 90
+    return Source("palm.jpg", (shown.shape[1], shown.shape[2]), PHOTOGRAPH_FPS, 5, False, None, None, tuple(shown))
+
+
+def test_photographs_without_a_hand_are_left_out_if_three_others_remain():
+    def begun(walls: list[int]) -> Begun:
+        return begin(photographs(walls), PRIOR, OwnOptions(), Known(PHOTOGRAPH_FPS), lambda *_: None)
+
+    found = begun([1, 3])
+    assert found.pictures.index.tolist() == [0, 2, 4]
+    assert found.findings[0].sentence.startswith("Photographs without a hand are left out: 2, 4.")
+    refuse(found.findings)
+    with pytest.raises(InputError, match=r"wanted a hand, got one in 2 of 5 pictures\. Film it large"):
+        begun([1, 2, 3])
 
 
 @pytest.mark.parametrize(
