@@ -222,8 +222,9 @@ def told_of(film: Path) -> tuple[str, str]:
     """What becomes of a film, and what a look at it tells."""
     prior = load_builtin(handedness=Handedness.RIGHT)
     try:
-        with mediapipe_hands.video_detector() as detector:
-            findings = begin(open_source([film]), prior, OwnOptions(), detector, lambda *_: None).findings
+        findings = begin(
+            open_source([film]), prior, OwnOptions(), mediapipe_hands.video_detector, lambda *_: None
+        ).findings
     except InputError as error:
         return "is refused", str(error)
     verdict = "is refused" if any(finding.refuses for finding in findings) else "is used"

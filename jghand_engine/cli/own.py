@@ -118,8 +118,8 @@ class Own:
         from jghand_engine.track.mediapipe_hands import video_detector
 
         source = open_source(self.pictures)
-        with video_detector() as detector, stages() as told:
-            begun = begin(source, load_builtin(handedness=Handedness.RIGHT), options, detector, told)
+        with stages() as told:
+            begun = begin(source, load_builtin(handedness=Handedness.RIGHT), options, video_detector, told)
         refused = self._looked_at(begun)
         if not begun.findings:
             say("Nothing is wrong with it.")

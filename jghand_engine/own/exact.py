@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import Handedness
 from jghand_engine.own.film import Source, Window, read_pictures
 from jghand_engine.own.hand_fit import Effort, FittedHand, HandFit
 from jghand_engine.own.masks import hand_masks, hand_size_px, hand_zones
@@ -52,7 +51,7 @@ def exact_poses(
     points, size_px = start.landmarks_px.reshape(-1, 2), (start.camera.width, start.camera.height)
     window = Window.around(points, hand_px, size_px, HAND_PX)
     told("Reading all pictures", 0, 1)
-    pictures = read_pictures(source, seen, window, mirrored=start.handedness is Handedness.LEFT)
+    pictures = read_pictures(source.showing_right(start.handedness), seen, window)
     start = start.within(window)
     fit = HandFit(prior, start, pictures.time_s, fitted, count=GAUSSIANS)
     now = fit.result()

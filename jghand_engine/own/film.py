@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Real
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from PIL import Image, ImageOps
 
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.track.detection import HandDetector, SeenHand
 from jghand_engine.track.poses import Poses
@@ -60,6 +61,7 @@ class Source:
     count:            how many, about; None where a film does not say
     is_film:          else photographs, one after the other
     camera_angle_deg: angle of view across the longer edge; None where the file does not say
+    is_mirrored:      whether left and right of its pictures are exchanged as they are read
     """
 
     name: str
@@ -70,14 +72,18 @@ class Source:
     camera_angle_deg: float | None
     _video: Video | None = None
     _photographs: tuple[np.ndarray, ...] = field(default=(), repr=False)
+    is_mirrored: bool = False
+
+    def showing_right(self, hand: Handedness) -> Source:
+        """With a left hand's pictures mirrored: a right one is in them then."""
+        return replace(self, is_mirrored=hand is Handedness.LEFT)
 
     def read(self, notes: list[str] | None = None, *, most: int | None = None) -> Iterator[np.ndarray]:
         """The pictures, (H, W, 3) uint8 sRGB; `notes` gets a sentence when the film is damaged. most: of a film, so
         many from its beginning"""
-        if self._video is not None:
-            yield from read_frames(self._video, notes, most=most)
-        else:
-            yield from self._photographs
+        pictures = self._photographs if self._video is None else read_frames(self._video, notes, most=most)
+        for picture in pictures:
+            yield np.ascontiguousarray(picture[:, ::-1]) if self.is_mirrored else picture
 
 
 def open_source(paths: Sequence[Path]) -> Source:
@@ -301,14 +307,13 @@ class FilmPictures:
         return cls(**{**arrays, **texts, "is_film": bool(arrays["is_film"])})
 
 
-def read_pictures(source: Source, index: np.ndarray, window: Window, *, mirrored: bool) -> FilmPictures:
-    """The pictures with these rising numbers, as far as the window shows them. mirrored: left and right are exchanged
-    before that, for a left hand"""
+def read_pictures(source: Source, index: np.ndarray, window: Window) -> FilmPictures:
+    """The pictures with these rising numbers, as far as the window shows them."""
     wanted = set(index.tolist())
     kept = []
     for number, picture in enumerate(source.read()):
         if number in wanted:
-            kept.append(window.cut(picture[:, ::-1] if mirrored else picture))
+            kept.append(window.cut(picture))
             if len(kept) == len(wanted):
                 break
     if len(kept) < len(wanted):

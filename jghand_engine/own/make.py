@@ -65,7 +65,7 @@ from jghand_engine.own.report import FilmView, held_out, write_report
 from jghand_engine.own.start import Start, start_of
 from jghand_engine.track import CAMERA_ANGLE_DEG
 from jghand_engine.track.detection import HandDetector
-from jghand_engine.track.hands_over_time import HandOverTime, hands_over_time
+from jghand_engine.track.hands_over_time import FoundHands, HandOverTime, hands_over_time
 from jghand_engine.track.poses import JointChain
 from jghand_engine.track.track import TrackedHand, TrackOptions, sequence_of, tracked
 
@@ -120,17 +120,32 @@ class Begun:
     findings: list[Finding]
 
 
-def begin(source: Source, prior: HandAvatar, options: OwnOptions, detector: HandDetector, told: Told) -> Begun:
+def begin(source: Source, prior: HandAvatar, options: OwnOptions, detectors: Detectors, told: Told) -> Begun:
     """Looks at all pictures, keeps the best of them and says what is wrong. InputError where no hand is to be had."""
     notes: list[str] = []
-    looked = look(source, detector, lambda done: told("Looking for the hand", done, source.count or done), notes)
-    hand = wanted_hand(hands_over_time(looked.sightings.frames, source.fps), looked, source.name, options.hand)
+    looked, found = _looked(source, detectors, told, notes)
+    hand = wanted_hand(found, looked, source.name, options.hand)
+    if hand.handedness is Handedness.LEFT:
+        # the detector sees mirrored pictures a little differently: it is to say of a left hand what it says of a right
+        mirrored = source.showing_right(Handedness.LEFT)
+        again, found = _looked(mirrored, detectors, told)
+        if Handedness.RIGHT in found.hands:
+            source, looked, hand = mirrored, again, found.hands[Handedness.RIGHT]
     begun = best_pictures(source, prior, options, looked, hand)
     pictures, start = begun.pictures, begun.start
     zones = hand_zones(prior, start.joints_m, start.landmarks_px, start.camera)
     begun.findings.extend([*(Finding("film", note) for note in notes), *seen_findings(looked, hand)])
     begun.findings.extend(picture_findings(pictures, start, zones, film_colors(pictures, zones)))
     return begun
+
+
+def _looked(
+    source: Source, detectors: Detectors, told: Told, notes: list[str] | None = None
+) -> tuple[Looked, FoundHands]:
+    # each time with a new detector, as it follows hands from picture to picture
+    with detectors() as detector:
+        looked = look(source, detector, lambda done: told("Looking for the hand", done, source.count or done), notes)
+    return looked, hands_over_time(looked.sightings.frames, source.fps)
 
 
 def best_pictures(source: Source, prior: HandAvatar, options: OwnOptions, looked: Looked, hand: HandOverTime) -> Begun:
@@ -140,6 +155,8 @@ def best_pictures(source: Source, prior: HandAvatar, options: OwnOptions, looked
     length_m = options.hand_length_m or hand_length(canonical)
     angle = options.camera_angle_deg or source.camera_angle_deg or CAMERA_ANGLE_DEG
     track = start_of(looked.sightings, hand, canonical * (length_m / hand_length(canonical)), angle, source.is_film)
+    if source.is_mirrored:
+        track = replace(track, handedness=Handedness.LEFT)
     index = spread_pictures(track.poses, track.seen & ~(blurred(looked.sharpness) & source.is_film))
     if len(index) < PHOTOGRAPHS_MIN:
         raise InputError(source.name, wanted=f"a hand in {PHOTOGRAPHS_MIN} pictures at least", came=f"{len(index)}")
@@ -147,7 +164,7 @@ def best_pictures(source: Source, prior: HandAvatar, options: OwnOptions, looked
     hand_px = float(np.median(hand_size_px(start.camera.project(start.joints_m)[0])))
     size_px = start.camera.width, start.camera.height
     window = Window.around(start.landmarks_px.reshape(-1, 2), hand_px, size_px)
-    pictures = read_pictures(source, index, window, mirrored=start.handedness is Handedness.LEFT)
+    pictures = read_pictures(source.showing_right(start.handedness), index, window)
     return Begun(track, pictures, start.within(window), [])
 
 
@@ -210,8 +227,7 @@ def _begun(
         findings = [Finding(**one) for one in read_small_json(work / CHECKS)["findings"]]
         pictures, start = FilmPictures.load(work / PICTURES), Start.load(work / START)
         return Begun(Start.load(work / TRACK), pictures, start, findings)
-    with detectors() as detector:
-        begun = begin(open_source(paths), prior, options, detector, told)
+    begun = begin(open_source(paths), prior, options, detectors, told)
     begun.track.save(work / TRACK)
     begun.pictures.save(work / PICTURES)
     begun.start.save(work / START)

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -131,7 +131,9 @@ def photographs(walls: list[int]) -> Source:
 
 def test_photographs_without_a_hand_are_left_out_if_three_others_remain():
     def begun(walls: list[int]) -> Begun:
-        return begin(photographs(walls), PRIOR, OwnOptions(), Known(PHOTOGRAPH_FPS), lambda *_: None)
+        return begin(
+            photographs(walls), PRIOR, OwnOptions(), lambda: nullcontext(Known(PHOTOGRAPH_FPS)), lambda *_: None
+        )
 
     found = begun([1, 3])
     assert found.pictures.index.tolist() == [0, 2, 4]
@@ -139,6 +141,34 @@ def test_photographs_without_a_hand_are_left_out_if_three_others_remain():
     refuse(found.findings)
     with pytest.raises(InputError, match=r"wanted a hand, got one in 2 of 5 pictures\. Film it large"):
         begun([1, 2, 3])
+
+
+class Leaning(Known):
+    """Sees hands too far to the right in the picture: not the same in mirrored pictures, whose first pixel is dark."""
+
+    def detect(self, rgb8: np.ndarray, time_s: float) -> list[SeenHand]:
+        (hand,) = super().detect(rgb8, time_s)
+        pixels, space = hand.image_px, hand.space_m
+        if rgb8[0, 0].max() == 0:
+            hand = replace(hand, handedness=Handedness.LEFT, space_m=space * (-1, 1, 1))
+            pixels = pixels * (-1, 1) + (rgb8.shape[1], 0)
+        return [replace(hand, image_px=pixels + np.array([3, 0]))]
+
+
+def test_a_left_hand_begins_as_the_right_one_in_its_mirrored_pictures_whatever_the_detector_sees_differently():
+    shown = film_of(CAMERA.project(JOINTS_M) * SCALE, SKIN).rgb_u8
+    shown[:, 0, -1] = 0
+    source = Source("hand", (shown.shape[1], shown.shape[2]), FPS, len(shown), True, None, None, tuple(shown))
+    mirrored = replace(source, _photographs=tuple(shown[:, :, ::-1]))
+    right, left = (
+        begin(one, PRIOR, OwnOptions(), lambda: nullcontext(Leaning()), lambda *_: None) for one in (source, mirrored)
+    )
+    assert left.start.handedness is left.track.handedness is Handedness.LEFT
+    assert left.pictures.digest == right.pictures.digest
+    assert left.findings == right.findings
+    for one, other in ((left.start, right.start), (left.track, right.track)):
+        assert np.array_equal(one.landmarks_px, other.landmarks_px)
+        assert np.array_equal(one.joints_m, other.joints_m)
 
 
 @pytest.mark.parametrize(

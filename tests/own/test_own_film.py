@@ -10,6 +10,7 @@ from tracking_samples import moving_poses, right_joints_m, sight
 
 from jghand_engine.errors import InputError
 from jghand_engine.export.video import ffmpeg_program, write_video
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.own.film import (
     HAND_SIZE_PX,
     PICTURE_EDGE_PX,
@@ -134,8 +135,8 @@ def test_a_picture_that_is_blurred_about_the_hand_is_told(tmp_path):
 def test_pictures_are_read_by_number_kept_as_they_are_and_mirrored_for_a_left_hand(tmp_path):
     paths = photographs(tmp_path, 4)
     whole = Window(0, 0, 64, 48, (64, 48))
-    pictures = read_pictures(open_source(paths), np.array([1, 3]), whole, mirrored=False)
-    mirrored = read_pictures(open_source(paths), np.array([1, 3]), whole, mirrored=True)
+    source = open_source(paths)
+    pictures, mirrored = (read_pictures(source.showing_right(hand), np.array([1, 3]), whole) for hand in Handedness)
     assert (len(pictures), pictures.index.tolist(), pictures.time_s.tolist()) == (2, [1, 3], [1.0, 3.0])
     assert np.array_equal(pictures.rgb_u8[:, :, ::-1], mirrored.rgb_u8)
     assert pictures.digest != mirrored.digest
