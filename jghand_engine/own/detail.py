@@ -17,7 +17,8 @@ from functools import cached_property
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.detail import Detail, ratio_bytes
+from jghand_engine.avatar.detail import Detail, log_ratios, ratio_bytes
+from jghand_engine.avatar.relief import Relief
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.native.library import load as load_native
@@ -110,10 +111,10 @@ class Laid:
 
 
 def seen_detail(own: OwnHand, surface: Detail, shown: Sequence[Shown], joints_m: np.ndarray) -> Detail:
-    """The surface with the texture that pictures show; nothing where they show nothing.
+    """The surface with the texture that pictures show, and its own fine skin where they show nothing.
 
-    surface: on which the hand's skin lies, of its shape · shown: the pictures, and joints_m (F, 21, 3) of their hands,
-    camera axes
+    surface: on which the hand's skin lies, of its shape, with that of the prior · shown: the pictures, and joints_m
+    (F, 21, 3) of their hands, camera axes
     """
     layout = Layout.of(surface)
     laid = laid_out(own, layout, shown, joints_m)
@@ -127,7 +128,24 @@ def seen_detail(own: OwnHand, surface: Detail, shown: Sequence[Shown], joints_m:
     film, seen = _mean(moved())
     film, _ = _mean(moved(), film)
     strength = _strength(seen, layout.covered)
-    return replace(surface, texture=ratio_bytes(strength[..., None] * (film - drawn)), relief=None)
+    return filled(surface, strength, film - drawn)
+
+
+def filled(surface: Detail, strength: np.ndarray, seen: np.ndarray) -> Detail:
+    """The surface with logarithms of ratios that were seen (S, S, 3), so strongly (S, S); the rest, smooth skin beside
+    which would look unreal, keeps its own texture and relief. Of what was seen the light on a relief is in the texture.
+    """
+    part, rest = strength[..., None], 1 - strength[..., None]
+    relief = surface.relief
+    if relief is not None:
+        relief = Relief(np.rint(rest * _of_texels(relief.height)).astype(np.int8))
+    likely = log_ratios(_of_texels(surface.texture))
+    return replace(surface, texture=ratio_bytes(part * seen + rest * likely), relief=relief)
+
+
+def _of_texels(square: np.ndarray) -> np.ndarray:
+    """(S, S, C) float32 with as many texels as are filled here."""
+    return opencv().resize(square.astype(np.float32), (TEXELS, TEXELS), interpolation=opencv().INTER_AREA)
 
 
 def _strength(seen: np.ndarray, covered: np.ndarray) -> np.ndarray:

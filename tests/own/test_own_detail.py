@@ -9,8 +9,9 @@ from scipy.ndimage import gaussian_filter
 
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.detail import NO_RATIO, Detail, log_ratios, ratio_bytes
+from jghand_engine.avatar.relief import Relief
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.own.detail import TEXELS, Laid, flows_between, seen_detail
+from jghand_engine.own.detail import TEXELS, Laid, filled, flows_between, seen_detail
 from jghand_engine.own.gather import observe
 from jghand_engine.own.light_and_skin import OwnHand
 from jghand_engine.own.make import hand_of
@@ -86,6 +87,19 @@ def test_a_side_that_is_never_seen_has_no_detail(film):
     palm, back = (texture_of(film.part(part)) for part in (np.arange(3), np.arange(5, 8)))
     both = (palm != NO_RATIO).any(-1) & (back != NO_RATIO).any(-1)
     assert both.mean() < 0.2 * (palm != NO_RATIO).any(-1).mean()
+
+
+def test_skin_that_is_hardly_seen_has_the_fine_skin_of_the_prior():
+    size, prior = TEXELS, 0.2
+    strength = np.tile(np.linspace(0, 1, size, dtype=np.float32), (size, 1))
+    heights = np.full((4, 4, 2), 40, np.int8)
+    given = replace(surface(), texture=ratio_bytes(np.full((4, 4, 3), prior)), relief=Relief(heights))
+    found = filled(given, strength, np.full((size, size, 3), -0.3, np.float32))
+    assert found.relief is not None
+    wanted = prior + (-0.3 - prior) * strength
+    # half a byte of either
+    assert np.abs(log_ratios(found.texture) - wanted[..., None]).max() < 0.006
+    assert np.abs(found.relief.height - 40 * (1 - strength[..., None])).max() < 0.51
 
 
 def test_what_gaussians_show_is_no_detail():
