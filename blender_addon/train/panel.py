@@ -110,9 +110,9 @@ def _draw_course(layout: bpy.types.UILayout, context: bpy.types.Context, seen: T
 
 # how to film, as docs/OWN_HAND.md has it
 _FILMING = (
-    "Lean the telephone on something: it must not move. The hand fills half of the frame, wrist and bare forearm in it",
+    "Lean the telephone on something: it must not move. The hand fills half of the frame; bare forearm, no ring",
     "Light from the front or the side; behind the hand a wall of another color",
-    "Hold exposure and focus by a long press. Film 12 to 20 seconds, slowly",
+    "Hold exposure and focus by a long press; no beauty or night mode. Film 12 to 20 seconds, slowly",
     "Flat hand, fingers apart, palm to the camera, 2 s. A fist, and open",
     "Turn it over the thumb's side in 3 s; flat back, 2 s. A fist, and open. Tips to the camera and away. Turn back",
 )

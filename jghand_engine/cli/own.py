@@ -21,11 +21,11 @@ DESCRIPTION = """Make an avatar of your own hand, from one film of a telephone o
 
 How to film: lay the telephone down or lean it on something, so that it does not move, 30 to 60 cm away; the hand fills
 half of the picture, with the wrist and some bare forearm, without ring and watch. Light from the front or the side, a
-wall of another color than the skin, nothing else that moves. Hold exposure and focus (a long press on the picture).
-Film 12 to 20 seconds, slowly: the flat hand, fingers apart, palm to the camera, two seconds; a fist, and open; turn the
-hand over the thumb's side in three seconds; the flat back, two seconds; a fist, and open; finger tips to the camera and
-away; turn back. Photographs: the flat palm, the flat back, the thumb's side, a fist from both sides. docs/OWN_HAND.md
-says why.
+wall of another color than the skin, nothing else that moves. Hold exposure and focus (a long press on the picture);
+1080p at 30 per second, no beauty or night mode, no flash. Film 12 to 20 seconds, slowly: the flat hand, fingers apart,
+palm to the camera, two seconds; a fist, and open; turn the hand over the thumb's side in three seconds; the flat back,
+two seconds; a fist, and open; finger tips to the camera and away; turn back. Photographs: the flat palm, the flat back,
+the thumb's side, a fist from both sides. docs/OWN_HAND.md says why.
 
 Needs the extra track (pip install 'jghand[track]', with the pip beside this program) and, once, --fetch-model.
 Nothing leaves this machine.
