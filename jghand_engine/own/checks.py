@@ -11,7 +11,7 @@ import numpy as np
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.own.film import BURNT_U8, FilmPictures, Looked, blurred
-from jghand_engine.own.fit_terms import guides
+from jghand_engine.own.fit_terms import flat_hands, guides
 from jghand_engine.own.masks import FilmColors, Zones, camera_moved, hand_size_px
 from jghand_engine.own.start import Start
 from jghand_engine.track.hands_over_time import FoundHands, HandOverTime
@@ -103,7 +103,7 @@ def seen_findings(looked: Looked, hand: HandOverTime) -> list[Finding]:
 def picture_findings(pictures: FilmPictures, start: Start, zones: Zones, colors: FilmColors) -> list[Finding]:
     """Of the pictures that are kept: size, camera, views, light, and what is behind the hand."""
     moved = camera_moved(pictures, zones.away)
-    findings = [_size(pictures, start), _moving(pictures, moved), *_views(start), _ruler(start)]
+    findings = [_size(pictures, start), _moving(pictures, moved), *_views(pictures, start), _ruler(pictures, start)]
     findings += [_burnt(pictures, zones), _dark(pictures, zones)]
     if colors.overlap > OVERLAP_MAX:
         findings.append(Finding("skin and background", "The wall has the color of the skin. Take another one."))
@@ -169,18 +169,25 @@ def facing(start: Start) -> np.ndarray:
     return (out * towards).sum(1) / (np.linalg.norm(out, axis=1) * np.linalg.norm(towards, axis=1))
 
 
-def _views(start: Start) -> list[Finding]:
+def _views(pictures: FilmPictures, start: Start) -> list[Finding]:
     square, limit = facing(start), math.cos(math.radians(VIEW_ANGLE_DEG))
-    words = "is never seen: it is invented from other skins. Turn the hand over."
-    seen = {"palm": square.max() > limit, "back": square.min() < -limit}
-    return [Finding("views", f"The {side} of the hand {words}") for side, there in seen.items() if not there]
+    findings = []
+    for side, towards in (("palm", square), ("back", -square)):
+        best = int(towards.argmax())
+        if towards[best] <= limit:
+            at = f" squarely, best{_where(pictures, best)}" if towards[best] > 0 else ""
+            words = f"The {side} of the hand is never seen{at}: it is invented from other skins. Turn the hand over."
+            findings.append(Finding("views", words))
+    return findings
 
 
-def _ruler(start: Start) -> Finding | None:
+def _ruler(pictures: FilmPictures, start: Start) -> Finding | None:
     if guides(start.detector_directions).any():
         return None
-    return Finding("ruler", "No picture shows the flat hand. Bone lengths are guessed; hold it flat for two seconds, "
-                   "palm and back.")  # fmt: skip
+    bent, tilted, _ = flat_hands(start.detector_directions)
+    at = _where(pictures, int((bent + tilted).argmin()))
+    return Finding("ruler", f"No picture shows the flat hand; the flattest one is{at}. Bone lengths are guessed; hold "
+                   "it flat for two seconds, palm and back.")  # fmt: skip
 
 
 def _burnt(pictures: FilmPictures, zones: Zones) -> Finding | None:

@@ -77,18 +77,24 @@ class Evidence:
         )
 
 
-def guides(directions: np.ndarray) -> np.ndarray:
-    """(F,) bool: the pictures of the flat palm, and of the flat back, by the detector's directions (F, 20, 3)."""
+def flat_hands(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(F,) degrees by which fingers are bent, those by which the palm is tilted from the camera, and which of its sides
+    is seen, -1 or 1; by the detector's directions (F, 20, 3)."""
     levels = directions.reshape(len(directions), 4, 5, 3)[:, :, 1:]
     cosine = (levels[:, 1:] * levels[:, :-1]).sum(-1).clip(-1, 1)
     flexion = np.degrees(np.arccos(cosine)).mean((1, 2))
     palm = np.cross(levels[:, 0, :-1], levels[:, 0, 1:]).sum(1)
     facing = palm[:, 2] / np.maximum(np.linalg.norm(palm, axis=1), 1e-9)
-    tilt = np.degrees(np.arccos(np.abs(facing).clip(0, 1)))
+    return flexion, np.degrees(np.arccos(np.abs(facing).clip(0, 1))), np.sign(facing)
+
+
+def guides(directions: np.ndarray) -> np.ndarray:
+    """(F,) bool: the pictures of the flat palm, and of the flat back, by the detector's directions (F, 20, 3)."""
+    flexion, tilt, shown = flat_hands(directions)
     flat = (flexion < GUIDE_FLEXION_DEG) & (tilt < GUIDE_TILT_DEG)
     chosen = np.zeros(len(directions), bool)
     for side in (-1, 1):
-        of_side = np.flatnonzero(flat & (np.sign(facing) == side))
+        of_side = np.flatnonzero(flat & (shown == side))
         chosen[of_side[np.argsort(flexion[of_side] + tilt[of_side])[:GUIDES_MAX]]] = True
     return chosen
 

@@ -136,7 +136,17 @@ def test_what_faces_the_camera_and_which_pictures_are_the_ruler_is_known(good):
     assert back < -0.9
     # the ruler of the fit is the detector's, whatever the tracker makes of it
     tracked = replace(good.start.poses, angle_rad=np.zeros((6, 20)))
-    assert "ruler" in replace(good, start=replace(good.start, poses=tracked)).words()
+    bent = replace(good, start=replace(good.start, poses=tracked))
+    assert "ruler" in bent.words()
+    assert "The back of the hand is never seen: it is invented" in bent.words()["views"]
+    # what comes nearest to what is wanted is told with the time
+    aslant = turned(good.start.poses, 0.0)
+    aslant.turn[3] = turned(aslant, 0.65).turn[3]
+    # the first one is the flattest
+    near = replace(good.start, poses=aslant, detector_directions=good.start.detector_directions[[1, 2, 0, 3, 4, 5]])
+    words = replace(good, start=near).words()
+    assert "The back of the hand is never seen squarely, best at 0:03: it is" in words["views"]
+    assert "No picture shows the flat hand; the flattest one is at 0:02." in words["ruler"]
     flat_hands = np.repeat(shown[0].detector_directions[:1], 6, 0)
     assert "ruler" not in replace(good, start=replace(good.start, detector_directions=flat_hands)).words()
 
