@@ -60,7 +60,7 @@ class Own:
     motion: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """Also write the motion of the hand in the film, as exact as `jghand track --exact`: .npz, .json or .csv."""
     resume: bool = False
-    """Go on with a film that was stopped, after the last stage that ended."""
+    """Go on with a film that was stopped, after the last stage, or round of colors, that ended."""
     overwrite: bool = False
     """Replace --out and --motion if they are there."""
     fetch_model: bool = False

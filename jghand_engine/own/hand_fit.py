@@ -177,6 +177,8 @@ class HandFit:
         }
         self.unknowns = Unknowns(**tensors)
         self.outline_residual = np.full(len(self), np.nan)
+        # of the fit by pictures: how often colors were found, in how many seconds, and the factor of the radii
+        self.done, self.spent_s, self.factor = 0, 0.0, math.nan
 
     def __len__(self) -> int:
         return len(self._turn)
@@ -235,22 +237,26 @@ class HandFit:
         effort: Effort | None = None,
         colored: np.ndarray | None = None,
         tick: Callable[[int, int], None] = lambda done, total: None,
+        ended: Callable[[], object] = lambda: None,
     ) -> None:
         """By pictures (F, H, W, 3) and masks (F, H, W) of the hand, too. What lies beyond the wrist counts nowhere.
 
         colored: numbers of the pictures that the skin's colors are found from; all · tick: is told how often they were
-        found, of how often
+        found, of how often · ended: is called where `save` has all that goes on, before the first time and after each
         """
-        effort, started, done = effort or Effort(), time.monotonic(), 0
-        factor = self._outline_factor(rgb_u8, masks)
-        rows = np.arange(len(self)) if colored is None else colored
-        while done < effort.times or time.monotonic() - started < effort.least_s:
-            tick(done, max(effort.times, done + 1))
+        effort, started = effort or Effort(), time.monotonic() - self.spent_s
+        if math.isnan(self.factor):
+            self.factor = self._outline_factor(rgb_u8, masks)
+            ended()
+        factor, rows = self.factor, np.arange(len(self)) if colored is None else colored
+        while self.done < effort.times or self.spent_s < effort.least_s:
+            tick(self.done, max(effort.times, self.done + 1))
             standing = self.joints(torch.from_numpy(rows)).detach(), self.unknowns.shape.detach()
             colors = self._shown(rgb_u8, masks, factor, rows).colors(*standing)
             self._descend(effort.rounds, PICTURE_RATE, partial(self._picture_cost, rgb_u8, masks, factor, colors))
-            done += 1
-        tick(done, done)
+            self.done, self.spent_s = self.done + 1, time.monotonic() - started
+            ended()
+        tick(self.done, self.done)
         shown = self._shown(rgb_u8, masks, factor)
         with torch.no_grad():
             left = shown.errors(self.everything, self.joints(self.everything), self.unknowns.shape)
@@ -305,6 +311,20 @@ class HandFit:
         return outline_factor(self.prior, self.surface, joints, [sight.view for sight in seen])
 
     # ---- what was found ----
+
+    def save(self, path: Path) -> None:
+        """As .npz, so that a fit of the same pictures goes on from there."""
+        arrays = {name: tensor.detach().numpy() for name, tensor in vars(self.unknowns).items()}
+        with writing(path) as temporary:
+            np.savez(temporary, done=self.done, spent_s=self.spent_s, factor=self.factor, **arrays)
+
+    def load(self, path: Path) -> None:
+        """Goes on with what `save` wrote. InputError for a file that is none."""
+        names = ("done", "spent_s", "factor", *vars(self.unknowns))
+        arrays = read_arrays(path, names, str(path), max_bytes=_NPZ_BYTES_MAX)
+        self.done, self.spent_s, self.factor = int(arrays["done"]), float(arrays["spent_s"]), float(arrays["factor"])
+        for name, tensor in vars(self.unknowns).items():
+            tensor.data.copy_(torch.from_numpy(arrays[name]))
 
     @torch.no_grad()
     def result(self) -> FittedHand:

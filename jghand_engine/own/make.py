@@ -4,6 +4,7 @@ goes on after the last one that ended.
 own.json      which film, and with which options
 track.npz     what the tracker says of all pictures · pictures.npz: the best of them · start.npz: what it says of these
 checks.json   what is wrong with the film
+rounds.npz    how far the fit is, by landmarks and after each round by pictures · first_masks.npz: that it goes by
 fit.npz       bones, shape and poses
 masks.npz     the hand in each picture, by the fitted outline
 sheet.png     film and avatar side by side, new poses, what was seen · report.json: figures of held-out pictures
@@ -16,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -60,7 +62,7 @@ from jghand_engine.own.film import (
 from jghand_engine.own.gather import observe
 from jghand_engine.own.hand_fit import Effort, FittedHand, HandFit
 from jghand_engine.own.light_and_skin import Origin, skin_from
-from jghand_engine.own.masks import film_colors, hand_masks, hand_size_px, hand_zones
+from jghand_engine.own.masks import Zones, film_colors, hand_masks, hand_size_px, hand_zones
 from jghand_engine.own.report import FilmView, held_out, write_report
 from jghand_engine.own.start import Start, start_of
 from jghand_engine.track import CAMERA_ANGLE_DEG
@@ -71,8 +73,8 @@ from jghand_engine.track.track import TrackedHand, TrackOptions, sequence_of, tr
 
 MARK, LOCK = "own.json", "lock"
 TRACK, PICTURES, START, CHECKS = "track.npz", "pictures.npz", "start.npz", "checks.json"
-FIT, MASKS = "fit.npz", "masks.npz"
-_FILES = (MARK, TRACK, PICTURES, START, CHECKS, FIT, MASKS, "sheet.png", "report.json")
+ROUNDS, FIRST_MASKS, FIT, MASKS = "rounds.npz", "first_masks.npz", "fit.npz", "masks.npz"
+_FILES = (MARK, TRACK, PICTURES, START, CHECKS, FIRST_MASKS, ROUNDS, FIT, MASKS, "sheet.png", "report.json")
 _MASK_BYTES_MAX = 2**28
 # a day: more is a mistake
 FIT_MOST_S = 86400.0
@@ -203,18 +205,13 @@ def explain(
         fitted = FittedHand.load(work / FIT)
     else:
         effort = BEST_EFFORT if options.motion else Effort()
-        fitted = fit_hand(begun, prior, told, replace(effort, least_s=options.fit_s))
+        fitted = fit_hand(begun, prior, told, replace(effort, least_s=options.fit_s), work)
         fitted.save(work / FIT)
     start = begun.start
     zones = hand_zones(fitted.avatar_shape(prior), fitted.joints_m, start.landmarks_px, start.camera)
-    if (work / MASKS).exists():
-        masks = read_arrays(work / MASKS, ("hand",), str(work / MASKS), max_bytes=_MASK_BYTES_MAX)["hand"]
-    else:
-        told("Cutting the hand out", 0, 1)
-        masks = hand_masks(begun.pictures, zones)
-        with writing(work / MASKS) as temporary:
-            np.savez_compressed(temporary, hand=masks)
-        told("Cutting the hand out", 1, 1)
+    told("Cutting the hand out", 0, 1)
+    masks = _masks(work / MASKS, begun.pictures, zones)
+    told("Cutting the hand out", 1, 1)
     refuse(fit_findings(begun.pictures, masks, (zones.outline > 0.5) & zones.side))
     return Explained(begun, fitted, masks)
 
@@ -235,20 +232,32 @@ def _begun(
     return begun
 
 
-def fit_hand(begun: Begun, prior: HandAvatar, told: Told, effort: Effort) -> FittedHand:
-    """By landmarks, then by masks and pictures; the masks by the outline that the landmarks gave."""
+def _masks(path: Path, pictures: FilmPictures, zones: Zones) -> np.ndarray:
+    """(F, H, W) bool, kept in a file."""
+    if not path.exists():
+        with writing(path) as temporary:
+            np.savez_compressed(temporary, hand=hand_masks(pictures, zones))
+    return read_arrays(path, ("hand",), str(path), max_bytes=_MASK_BYTES_MAX)["hand"]
+
+
+def fit_hand(begun: Begun, prior: HandAvatar, told: Told, effort: Effort, work: Path) -> FittedHand:
+    """By landmarks, then by masks and pictures; the masks by the outline that the landmarks gave. Goes on with what is
+    in `work`."""
     pictures, start = begun.pictures, begun.start
     fit = HandFit(prior, start, pictures.time_s if pictures.is_film else None)
     told("Fitting the hand by landmarks", 0, 1)
-    fit.fit_landmarks()
+    if (work / ROUNDS).exists():
+        fit.load(work / ROUNDS)
+    else:
+        fit.fit_landmarks()
     now = fit.result()
     zones = hand_zones(now.avatar_shape(prior), now.joints_m, start.landmarks_px, start.camera)
-    masks = hand_masks(pictures, zones)
+    masks = _masks(work / FIRST_MASKS, pictures, zones)
 
     def tick(done: int, total: int) -> None:
         told("Fitting the hand by pictures", done, total)
 
-    fit.fit_pictures(pictures.rgb_u8, masks, effort, tick=tick)
+    fit.fit_pictures(pictures.rgb_u8, masks, effort, tick=tick, ended=lambda: fit.save(work / ROUNDS))
     return fit.result()
 
 
@@ -268,7 +277,8 @@ def exact_track(
     length_m, prior = hand_length(canonical_joints_m), load_builtin(handedness=Handedness.RIGHT)
     wanted_m = options.hand_length_m or length_m
     begun = best_pictures(source, prior, OwnOptions(None, wanted_m, options.camera_angle_deg), looked, hand)
-    fitted = fit_hand(begun, prior, told, BEST_EFFORT)
+    with TemporaryDirectory() as work:
+        fitted = fit_hand(begun, prior, told, BEST_EFFORT, Path(work))
     poses = exact_poses(source, begun.track, begun.pictures.index, fitted, prior, told)
     own = chain_of(prior.canonical_joints_m, fitted.own_joints_m)
     chain = own if options.own_bones else JointChain.of(canonical_joints_m * (wanted_m / length_m))

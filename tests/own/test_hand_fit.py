@@ -1,6 +1,6 @@
 """The hand and its motion that explain a film."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -140,6 +140,24 @@ def test_what_lies_beyond_the_wrist_changes_no_number():
     for one in fields(FittedHand):
         if one.name not in ("camera", "poses"):
             np.testing.assert_array_equal(getattr(results[0], one.name), getattr(results[1], one.name))
+
+
+def test_a_fit_that_goes_on_from_its_file_finds_the_very_hand_of_one_that_was_not_stopped(tmp_path):
+    truth, path, twice = film(4), tmp_path / "rounds.npz", Effort(times=2, rounds=1)
+    whole, stopped, again = (
+        HandFit(PRIOR, truth.start(disturbed(truth.poses)), truth.time_s, count=500) for _ in range(3)
+    )
+    whole.fit_pictures(truth.rgb_u8, truth.masks, twice)
+    stopped.fit_pictures(truth.rgb_u8, truth.masks, replace(twice, times=1), ended=lambda: stopped.save(path))
+    again.load(path)
+    assert (again.done, again.spent_s) == (1, stopped.spent_s)
+    again.fit_pictures(truth.rgb_u8, truth.masks, twice)
+    assert again.done == 2
+    for name, tensor in vars(whole.unknowns).items():
+        assert torch.equal(getattr(again.unknowns, name), tensor)
+    # time that was spent before counts
+    again.fit_pictures(truth.rgb_u8, truth.masks, replace(twice, least_s=again.spent_s))
+    assert again.done == 2
 
 
 def test_a_found_hand_comes_back_from_its_file_and_shapes_an_avatar(tmp_path):

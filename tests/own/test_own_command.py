@@ -1,7 +1,7 @@
 """`jghand own`: what it says of a film, and how a run that was stopped goes on."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -86,7 +86,14 @@ def fits(monkeypatch, efforts) -> list[int]:
             begun.append(len(start.joints_m))
 
         def fit_landmarks(self) -> None: ...
-        def fit_pictures(self, rgb_u8: np.ndarray, masks: np.ndarray, effort: Effort, *, tick: object) -> None:
+        def load(self, path: Path) -> None: ...
+        def save(self, path: Path) -> None:
+            path.touch()
+
+        def fit_pictures(
+            self, rgb_u8: np.ndarray, masks: np.ndarray, effort: Effort, *, tick: object, ended: Callable[[], None]
+        ) -> None:
+            ended()
             assert masks.shape == rgb_u8.shape[:3]
             assert effort.least_s == LEAST_S
             efforts.append(effort.times)
@@ -232,6 +239,24 @@ def test_a_run_that_was_stopped_goes_on_after_the_last_stage_that_ended(film, tm
     assert np.array_equal(third.fitted.joints_m, whole.fitted.joints_m)
     hands = drawn_hands(CAMERA.project(JOINTS_M) * SCALE)
     assert 0.5 < third.masks.mean() * third.masks[0].size / hands.sum((1, 2)).mean() < 1.2
+
+
+def test_a_fit_that_was_stopped_goes_on_after_its_last_round(film, tmp_path, fits, monkeypatch):
+    def stopped(self, *_: object, ended: Callable[[], None], **__: object) -> None:
+        ended()
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as stopping:
+        stopping.setattr(make.HandFit, "fit_pictures", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            explained(film, tmp_path, resume=False)
+    masks = (tmp_path / make.FIRST_MASKS).read_bytes()
+    monkeypatch.setattr(make.HandFit, "fit_landmarks", lambda _: pytest.fail("its landmarks were fitted already"))
+    explained(film, tmp_path, resume=True, detectors=nobody)
+    assert (tmp_path / make.FIRST_MASKS).read_bytes() == masks
+    # a new run begins anew
+    with pytest.raises(pytest.fail.Exception):
+        explained(film, tmp_path, resume=False)
 
 
 def test_a_work_folder_is_of_one_film_and_its_options_and_of_nothing_else(film, tmp_path, fits):
