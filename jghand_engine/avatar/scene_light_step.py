@@ -91,6 +91,7 @@ class SceneLightStep:
         self._response, self._blocks, self._cast, self._limits = response, blocks, cast, limits
         material = np.stack([response.spread, response.roughness, response.reflectance], 1)
         rows = cast.rows
+        beside = anchors_beside(cast.anchors.position_m, cast.anchors.normal)
         self.arrays = {
             "material": blocks.blocked(material),
             "posed": aligned_zeros((rows // LANES, 9, LANES)),
@@ -100,7 +101,7 @@ class SceneLightStep:
             "skin_seen": aligned_zeros((LAMPS_MAX, blocks.rows)),
             "apart": aligned_zeros((0, blocks.count, APART, LANES)),
             "thrown": aligned_zeros((rows // PATCH, THROWN)),
-            "beside": _evened(cast),
+            "beside": _evened(cast, beside),
             "bounced": aligned_zeros((rows, 4)),
             "sky": aligned_zeros((blocks.rows,)),
             # 7 numbers of the world and 3 of each lamp, in whole vectors
@@ -118,7 +119,7 @@ class SceneLightStep:
             sine2_min=CAPSULE_SINE2_MIN,
         )
         if sweeps:
-            self.arrays |= _swept(cast)
+            self.arrays |= _swept(cast, beside)
             area_m2 = self.arrays["area"]
             self.task.texel_m = TEXELS * float(np.sqrt(area_m2[area_m2 > 0].mean()))
         set_pointers(self.task, self.arrays)
@@ -231,19 +232,17 @@ def _standing_before(cast: CastStep) -> dict[str, np.ndarray]:
     }
 
 
-def _evened(cast: CastStep) -> np.ndarray:
+def _evened(cast: CastStep, beside: np.ndarray) -> np.ndarray:
     """Over which anchors light that skin throws is evened: beside of SceneLightTask."""
     rows = aligned_zeros((cast.rows, EVENED), np.int32)
-    beside = anchors_beside(cast.anchors.position_m, cast.anchors.normal)
     rows[cast.row_of_anchor] = cast.row_of_anchor[beside]
     return rows
 
 
-def _swept(cast: CastStep) -> dict[str, np.ndarray]:
-    """Through what light is swept that skin throws: the arrays of native/bounce.cpp."""
-    anchors, area_m2 = cast.anchors, aligned_zeros((cast.rows,))
-    beside = anchors_beside(anchors.position_m, anchors.normal)
-    apart2_m2 = np.square(anchors.position_m[beside] - anchors.position_m[:, None]).sum(-1).max(1)
+def _swept(cast: CastStep, beside: np.ndarray) -> dict[str, np.ndarray]:
+    """Through what light is swept that skin throws: the arrays of native/bounce.cpp. beside: (A, EVENED) anchors"""
+    place_m, area_m2 = cast.anchors.position_m, aligned_zeros((cast.rows,))
+    apart2_m2 = np.square(place_m[beside] - place_m[:, None]).sum(-1).max(1)
     area_m2[cast.row_of_anchor] = np.pi * apart2_m2 / (EVENED - 1)
     direction = aligned_zeros((SWEPT, 3))
     direction[...] = lamp_directions(SWEPT)

@@ -52,8 +52,10 @@ def lamp_of_words(text: str) -> Lamp:
     values = {}
     for word in filter(None, words.split(",")):
         name, _, value = word.partition("=")
-        found = [_number_or_flag(each) for each in value.split("/")]
-        values[names.get(name, name)] = found if len(found) > 1 else found[0]
+        found, field = [_number_or_flag(each) for each in value.split("/")], names.get(name, name)
+        if field in values or field == "kind":
+            raise wrong(field, "given once", word)
+        values[field] = found if len(found) > 1 else found[0]
     return lamp_of(JsonObject({**values, "kind": kind}, wrong))
 
 

@@ -26,6 +26,7 @@ SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "jg_skin": (None, (_P, _P)),
     "jg_learned_task_bytes": (_I32, ()),
     "jg_scene_light_task_bytes": (_I32, ()),
+    "jg_sweep_floats": (ctypes.c_int64, (_I32,)),
     "jg_lamp_depth_bytes": (_I32, ()),
     "jg_learned_pose": (None, (_P, _P)),
     "jg_learned_gloss": (None, (_P, _P)),

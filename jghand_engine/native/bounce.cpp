@@ -3,6 +3,7 @@
 // behind it with what it throws, and skin that faces the light reads it. Costs nothing per pair of anchors.
 #include <math.h>
 
+#include "export.h"
 #include "scene_light.h"
 
 namespace jg {
@@ -23,6 +24,8 @@ struct Sweep {
   int32_t *depth, *order;
   v4* texels;
 };
+
+int64_t sweep_floats(int32_t rows) { return 4 * GRID * GRID + 6 * (int64_t)rows; }
 
 Sweep sweep_of(const SceneLightTask& s, int32_t rows, int32_t item) {
   float* at = s.sweeping + sweep_floats(rows) * (int64_t)item;
@@ -72,7 +75,7 @@ float place(const LearnedTask& t, const float* w, Sweep& to) {
     for (int k = 1; k < LANES; k++) least[i] = fminf(least[i], low[i][k]), most = fmaxf(most, high[i][k]);
     extent[i] = fmaxf(most - least[i], EXTENT_MIN);
   }
-  const float texel_m = fmaxf(s.texel_m * t.skin.scale, fmaxf(extent[0], extent[1]) / (GRID - 2 * AROUND_HAND - 1));
+  const float texel_m = fmaxf(s.texel_m * t.skin.scale, fmaxf(extent[0], extent[1]) / (GRID - 2 * AROUND_HAND - 2));
   const float per_m = 1.f / texel_m, steps = (DEPTHS - 1) / extent[2];
   // whole texels, so that a hand that only moves keeps its light
   const float first[2] = {floorf(least[0] * per_m) - AROUND_HAND, floorf(least[1] * per_m) - AROUND_HAND};
@@ -89,8 +92,6 @@ float place(const LearnedTask& t, const float* w, Sweep& to) {
 }
 
 }  // namespace
-
-int64_t sweep_floats(int32_t rows) { return 4 * GRID * GRID + 6 * (int64_t)rows; }
 
 void sweep_some(const LearnedTask& t, int32_t item, int32_t step) {
   const SceneLightTask& s = *t.scene;
@@ -169,3 +170,5 @@ void anchor_caught(const LearnedTask& t, int32_t block) {
 }
 
 }  // namespace jg
+
+JG_API int64_t jg_sweep_floats(int32_t rows) { return jg::sweep_floats(rows); }

@@ -1,5 +1,5 @@
 // Trained skin in the light of a scene (docs/LIGHT.md): a world all around and lamps in it, scene-linear.
-// learn/scene_light.py is the specification.
+// learn/scene_light.py is the specification, but of swept light: tests/avatar/test_bounce.py.
 #pragma once
 #include "lamp_depth.h"
 
@@ -31,8 +31,10 @@ constexpr int PATCH = 4;       // neighboring anchors that throw light as one: P
 constexpr int POSED = 9;       // numbers of a posed anchor
 constexpr int THROWN = 10;     // numbers of a patch
 constexpr int EVENED = 8;      // anchors whose mean is taken of the skin that they see: EVENED of avatar/cast_task.py
-constexpr int SWEPT = 64, SWEEPS = 16;  // directions along which thrown light is swept, and items of work: of avatar/bounce_step.py
-constexpr int AGAIN_STEP = 2;  // every second of them says what is thrown again
+constexpr int SWEPT = 64, SWEEPS = 16;  // directions along which thrown light is swept, and items of work: of
+                                        // native/scene_light_task.py
+constexpr int AGAIN_STEP = 2;           // every second of them says what is thrown again
+static_assert(SWEPT % SWEEPS == 0 && SWEPT / SWEEPS % AGAIN_STEP == 0, "every item has as many directions");
 constexpr int OF_BOUNCED = 3, OF_SKY = 6;  // in a row of `reached`
 constexpr float FACED_MIN = 1e-6f;      // part of all that a point faces, as a divisor
 constexpr float FACED_PART_MIN = 0.25f; // of what is hidden, skin is taken to be: no more is made of little
@@ -111,11 +113,10 @@ void anchor_lamps(const LearnedTask& t, int32_t first, int32_t end);
 void anchor_world(const LearnedTask& t, int32_t anchor_block);
 void anchor_bounced(const LearnedTask& t, int32_t anchor_block);
 void anchor_evened(const LearnedTask& t, int32_t anchor_block);
-// The last two where light is swept: items of SWEEPS, anchors, items, anchors.
+// In place of the last two where light is swept: `sweep_some` for all items, `anchor_again`, `sweep_some`, `anchor_caught`.
 void sweep_some(const LearnedTask& t, int32_t item, int32_t step);
 void anchor_again(const LearnedTask& t, int32_t anchor_block);
 void anchor_caught(const LearnedTask& t, int32_t anchor_block);
-int64_t sweep_floats(int32_t rows);
 // Keeps what lights the skin of a block in this pose, whatever the light is.
 void reflecting_block(const LearnedTask& t, int32_t block, const vf normal[3], const vf correction[CORRECTION]);
 // The matt color of blocks.

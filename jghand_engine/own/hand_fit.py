@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.sequence import bone_directions, rebuilt
@@ -322,6 +323,9 @@ class HandFit:
         """Goes on with what `save` wrote. InputError for a file that is none."""
         names = ("done", "spent_s", "factor", *vars(self.unknowns))
         arrays = read_arrays(path, names, str(path), max_bytes=_NPZ_BYTES_MAX)
+        for name, tensor in vars(self.unknowns).items():
+            if arrays[name].shape != tuple(tensor.shape) or not np.isfinite(arrays[name]).all():
+                raise InputError(f"{name} in {path}", wanted=f"{tuple(tensor.shape)} numbers", came="others")
         self.done, self.spent_s, self.factor = int(arrays["done"]), float(arrays["spent_s"]), float(arrays["factor"])
         for name, tensor in vars(self.unknowns).items():
             tensor.data.copy_(torch.from_numpy(arrays[name]))

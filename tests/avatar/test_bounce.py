@@ -30,8 +30,8 @@ def bones_of(avatar: HandAvatar, pose: str) -> Bones:
     return avatar.skeleton().bones(joints_of(pose, avatar.handedness))
 
 
-def posed(avatar: HandAvatar, light: SceneLight, pose: str, *, sweeps: bool = True) -> Poser:
-    poser = Poser(native_library.load(), avatar, sweeps=sweeps)
+def posed(avatar: HandAvatar, light: SceneLight, pose: str, *, sweeps: bool = True, variant: str = "auto") -> Poser:
+    poser = Poser(native_library.load(variant), avatar, sweeps=sweeps)
     poser.prepare(bones_of(avatar, pose), np.zeros(3), light=light)
     poser.run()
     return poser
@@ -72,7 +72,7 @@ def caught(step: SceneLightStep, scale: float, sent: np.ndarray, hidden: np.ndar
         u, v = across(direction)
         along = place_m @ direction
         extent_m = max(np.ptp(place_m @ u), np.ptp(place_m @ v))
-        texel_m = max(step.task.texel_m * scale, extent_m / (GRID - 2 * AROUND - 1))
+        texel_m = max(step.task.texel_m * scale, extent_m / (GRID - 2 * AROUND - 2))
         at = np.stack([place_m @ u, place_m @ v], 1) / texel_m
         at = (at - np.floor(at.min(0)) + AROUND).astype(np.float64)
         depth = 2047 - ((along - along.min()) * (np.float32(2047) / np.ptp(along))).astype(int)
@@ -98,9 +98,10 @@ def caught(step: SceneLightStep, scale: float, sent: np.ndarray, hidden: np.ndar
     return (hidden / np.maximum(whole, 1e-6))[:, None] * sums[:, :3]
 
 
+@pytest.mark.parametrize("variant", native_library.runnable_variants())
 @pytest.mark.parametrize("light", [BEHIND, EVEN_LIGHT], ids=["behind", "even"])
-def test_the_kernel_sweeps_light_as_specified(light):
-    poser = posed(AVATAR, light, "fist")
+def test_the_kernel_sweeps_light_as_specified(light, variant):
+    poser = posed(AVATAR, light, "fist", variant=variant)
     step, scale = step_of(poser), bones_of(AVATAR, "fist").scale
     shown, once = said(step), by_rows(step.arrays["once"]).astype(np.float64)
     hidden, albedo = 1 - shown[:, 6], np.array(step.task.bounce)
@@ -190,3 +191,8 @@ def test_a_hand_without_size_and_one_far_away_are_no_hard_cases():
         poser.prepare(one, np.zeros(3), light=EVEN_LIGHT)
         poser.run()
         assert np.isfinite(said(step_of(poser))).all()
+
+
+def test_the_memory_of_a_sweep_is_what_the_kernel_takes():
+    step = step_of(posed(AVATAR, EVEN_LIGHT, "open"))
+    assert step.arrays["sweeping"].shape[1] == native_library.load().call.jg_sweep_floats(len(step.arrays["area"]))

@@ -463,9 +463,9 @@ def test_edges_of_shadows_are_as_wide_as_pixels():
     grazing, finer = replace(SUN, place_m=(0.8, 0.5, 0.3)), 3
     fine, whole = large(grazing, camera=LARGE.scaled(finer)), large(grazing)
     mean = fine.reshape(LARGE.height, finer, LARGE.width, finer, 4).mean((1, 3))
-    # outlines are wider than a pixel
+    # outlines are wider than a pixel. Observed: 9
     within = (whole[..., 3] > 0.999) & (mean[..., 3] > 0.999)
-    assert (np.abs(whole - mean)[within, :3].max(-1) > 0.05).sum() < 50
+    assert (np.abs(whole - mean)[within, :3].max(-1) > 0.05).sum() < 20
 
 
 def test_lights_of_several_lamps_add_up_at_pixels():
