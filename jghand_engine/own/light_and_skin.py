@@ -58,9 +58,10 @@ LIGHT_SPREAD, LIGHT_SHARPNESS, HUE_SPREAD = 1.4, 5.0, 0.25
 # than from behind the hand, as people are told to film: no skin that a film shows faces there
 LIGHT_RISE, LIGHT_FALL = 2.0, 2.0
 # skin that turns away from the camera is brighter than the model of known light has it, as a logarithm for a cosine of
-# 0: 0.17 to 0.22, 0.26 to 0.34 and 0.31 to 0.37 in two rendered films whose light is known, of dark and of light skin.
-# Without it that would be taken for light from the sides and from behind
-LIMB_RGB = (0.2, 0.3, 0.35)
+# 0: 0.17 to 0.22, 0.26 to 0.34 and 0.31 to 0.37 in two rendered films whose light is known, of dark and of light skin,
+# less a fifth since the model's gloss rises as much towards grazing light as theirs. Without it that would be taken for
+# light from the sides and from behind
+LIMB_RGB = (0.15, 0.25, 0.3)
 # the light is found from skin that faces the camera: cosines from which on it counts, and counts wholly. Towards its
 # outline skin shows the wall too, and shines; that would be taken for light from behind
 FACING, SQUARE = 0.5, 0.8

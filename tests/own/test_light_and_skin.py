@@ -66,7 +66,7 @@ def test_the_light_of_a_film_is_found_but_for_its_strength_though_skin_is_bright
     found = light_error(hand, observed)
     monkeypatch.setattr(light_and_skin, "LIMB_RGB", (0.0, 0.0, 0.0))
     unknown = light_error(hand, observed)
-    assert found < 0.075, "seen: 0.068 and 0.057; 0.079 and 0.100 where nothing is known of what turns away"
+    assert found < 0.07, "seen: 0.063 and 0.059; 0.078 and 0.096 where nothing is known of what turns away"
     assert found < 0.9 * unknown
 
 
