@@ -108,8 +108,9 @@ def test_the_kernel_sweeps_light_as_specified(light, variant):
     first = once / np.maximum(1 - albedo * hidden[:, None], 0.01)
     again = once + albedo * caught(step, scale, first, hidden, 2)
     wanted = caught(step, scale, again, hidden, 1)
-    assert np.abs(by_rows(step.arrays["sent"]) - again).max() < 1e-3 * again.max()
-    assert np.abs(shown[:, 3:6] - wanted).max() < 1e-3 * wanted.max()
+    # observed: 9e-8 and 1.3e-6; anchors as deep as one another may change places on another machine
+    assert np.abs(by_rows(step.arrays["sent"]) - again).max() < 1e-4 * again.max()
+    assert np.abs(shown[:, 3:6] - wanted).max() < 1e-4 * wanted.max()
     assert wanted.max() > 0.03 * once.max()
 
 
@@ -152,6 +153,7 @@ def test_skin_gets_the_light_that_rays_find_nearer_than_by_patches(pose):
     rows = np.flatnonzero(1 - said(swept)[:, 6] > 0.1)[::12]
     wanted = by_rays(swept, bones, rows)
     error, before = (np.square(said(step)[rows, 3:6] - wanted).mean() for step in (swept, by_patches))
+    # observed: 0.45 and 0.15; rays along as few directions are rough themselves
     assert error < 0.5 * before
 
 
@@ -160,6 +162,7 @@ def test_what_fingers_take_of_an_even_world_they_throw_back(pose):
     hand = white(AVATAR, 1.0)
     ratio = from_all_sides(posed(hand, EVEN_LIGHT, pose), len(hand)) / [0.2, 0.5, 1.0]
     assert ratio.mean() == pytest.approx(1, abs=0.005 if pose == "open" else 0.035)
+    # observed: 1.002 and 0.971, at most 1.055
     assert ratio.max() < 1.07
 
 
@@ -178,7 +181,8 @@ def test_a_left_hand_gets_the_light_of_the_right_one_mirrored():
         posed(AVATAR.for_hand(Handedness.LEFT), SceneLight(None, (mirrored,)), "fist"),
     )
     on_right, on_left = (np.sort(said(step_of(poser))[:, 3]) for poser in (right, left))
-    assert np.abs(on_left - on_right).mean() < 0.02 * on_right.mean()
+    # observed: 4e-6
+    assert np.abs(on_left - on_right).mean() < 1e-4 * on_right.mean()
 
 
 def test_a_hand_without_size_and_one_far_away_are_no_hard_cases():
