@@ -105,7 +105,7 @@ def light_decisions(
     decisions = [
         _lamps(shares, weight, count),
         _lamp_shadows(light, shares, weight, count, choice, limits.lamp_shadow),
-        _world_shadow(*world, count, settings),
+        _world_shadow(*world, count, choice, sweeps=settings.sharp_shadows and light.baked is None),
         _gloss(light, weight, count, choice) if mirrors else _matt(choice),
     ]
     if moved_m is not None:
@@ -261,10 +261,10 @@ def _suits_picture(light: SceneLight, points_m: np.ndarray, ball: Ball) -> np.nd
     return small * np.where(is_sun, 1, np.clip((apart - APART_LEAST) / (APART_WHOLE - APART_LEAST), 0, 1))
 
 
-def _world_shadow(shade: float, most: float, count: int, settings: RenderSettings) -> Decision:
-    cost, lost = count * (WORLD_SHADOW_MS + SWEEP_MS * settings.sharp_shadows), "{0:.2g} % of the light"
+def _world_shadow(shade: float, most: float, count: int, choice: Choice, *, sweeps: bool) -> Decision:
+    cost, lost = count * (WORLD_SHADOW_MS + SWEEP_MS * sweeps), "{0:.2g} % of the light"
     why = "up to {0:.0f} % of the light is the world's or thrown back by skin"
-    if not settings.effects.allows(Effect.WORLD_SHADOW):
+    if not choice.allows(Effect.WORLD_SHADOW):
         return Decision(Effect.WORLD_SHADOW, False, NOT_CHOSEN, lost, None, cost, (100 * most,))
     if not most:
         return Decision(Effect.WORLD_SHADOW, False, "no light is on the hand", "0", 0.0, cost)
