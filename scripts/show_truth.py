@@ -65,7 +65,7 @@ class Options:
     views: tuple[str, ...] = ("palm", "back", "knuckles", "fist", "pinch")
     size: str = "960x1080"
     samples: int = 24
-    cell_px: int = 384
+    cell_px: int = 640
 
 
 def main(options: Options) -> None:
