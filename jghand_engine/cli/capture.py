@@ -26,7 +26,7 @@ again.
 
 Examples:
   jghand capture --identity 3 --cameras 16 --poses 25 --out captures/id3
-  jghand capture --identity child --skin 7 --out captures/child
+  jghand capture --identity child --person 7 --out captures/child
   jghand capture --identity adult_woman --motion dance.npz --out captures/dance
   jghand capture --identity 3 --lights varied --out captures/id3_lit
   jghand capture --identity 3 --out captures/id3 --shard 1/2     and on another machine --shard 2/2"""
@@ -40,7 +40,7 @@ _OneNumber = tyro.conf.arg(metavar="NUMBER")
 class LookOptions:
     """Light and skin."""
 
-    skin: Annotated[
+    person: Annotated[
         str | None, tyro.conf.arg(metavar="NUMBER|PERSON.json", help_behavior_hint="(default: usual numbers)")
     ] = None
     """Whose skin: the seed of anybody's, or a file with some numbers of a person (docs/SKIN.md). Left out: a person of
@@ -176,16 +176,16 @@ class Capture:
         return CaptureOptions(
             identity=self.identity, cameras=self.cameras,
             close_ups=self.cameras // 4 if self.close_ups is None else self.close_ups,
-            poses=self.poses, width=width, height=height, skin=self._skin(), motion=motion,
+            poses=self.poses, width=width, height=height, skin=self._person(), motion=motion,
             seed=self.seed,
             light=VariedLight() if self.look.lights == "varied" else Light(self.look.lights),
             sampling=Sampling(samples=self.samples, subdivisions=self.subdivisions),
         )  # fmt: skip
 
-    def _skin(self) -> Person:
+    def _person(self) -> Person:
         from jghand_engine.captures.skin.person import Person
 
-        given = self.look.skin
+        given = self.look.person
         if given is None:
             # whatever the capture's seed: pictures of other poses and lights shall show the same skin
             return Person()

@@ -331,7 +331,7 @@ def plan_of_motion(handedness: Handedness) -> CapturePlan:
         (["--samples", "0"], "samples"),
         (["--cameras", "0"], "cameras"),
         (["--lights", "moonbase"], "light"),
-        (["--skin", "absent.json"], "absent.json"),
+        (["--person", "absent.json"], "absent.json"),
         (["--seed", "-1"], "seed"),
     ],
 )
@@ -396,7 +396,7 @@ def test_the_seed_of_a_capture_leaves_the_skin_alone(tmp_path):
 def test_a_person_gives_a_capture_its_skin_and_another_person_is_another_capture(tmp_path, monkeypatch, capsys):
     (tmp_path / "ann.json").write_text(json.dumps({"melanin": 0.9, "seed": 4}))
     words = [*WORDS, "--poses", "2", "--subdivisions", "1", "--blender-python", sys.executable]
-    one = [*words, "--skin", str(tmp_path / "ann.json"), "--out", str(tmp_path / "ann")]
+    one = [*words, "--person", str(tmp_path / "ann.json"), "--out", str(tmp_path / "ann")]
     assert main(one) == 0
     plan = read_plan(tmp_path / "ann")
     assert plan is not None
@@ -416,9 +416,9 @@ def test_a_person_gives_a_capture_its_skin_and_another_person_is_another_capture
     pictures(tmp_path / "ann")[0].unlink()
     assert main(one) == 0
     assert contents(tmp_path / "ann") == before
-    assert main([*words, "--skin", "7", "--out", str(tmp_path / "ann")]) == 2
+    assert main([*words, "--person", "7", "--out", str(tmp_path / "ann")]) == 2
     assert "another skin" in " ".join(capsys.readouterr().err.split())
-    assert main([*words, "--skin", str(tmp_path / "none.json"), "--out", str(tmp_path / "other")]) == 2
+    assert main([*words, "--person", str(tmp_path / "none.json"), "--out", str(tmp_path / "other")]) == 2
     assert "none.json" in capsys.readouterr().err
     file = tmp_path / "ann" / "plan" / person_skin.MESH_FILE
     file.write_bytes(file.read_bytes()[:-40])
