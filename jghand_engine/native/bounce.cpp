@@ -134,7 +134,7 @@ JG_INLINE void caught_at(const LearnedTask& t, int32_t block, int32_t step, vf o
   const int64_t rows = LANES * (int64_t)t.cast.blocks;
   const int columns = columns_of(s);
   const float *posed = s.posed + POSED * LANES * (int64_t)block, *reached = s.reached + columns * LANES * (int64_t)block;
-  vf n[3], cosines = {}, hidden, sums[4];
+  vf n[3], cosines = {}, sums[4];
   for (int i = 0; i < 3; i++) n[i] = load(posed + LANES * (3 + i));
   for (int k = 0; k < SWEPT; k += step) {
     const float* w = s.swept + 3 * k;
@@ -144,8 +144,8 @@ JG_INLINE void caught_at(const LearnedTask& t, int32_t block, int32_t step, vf o
     v4 sum = {};
     for (int item = 0; item < SWEEPS; item++) sum += ((const v4*)s.caught)[rows * item + LANES * (int64_t)block + lane];
     for (int i = 0; i < 4; i++) sums[i][lane] = sum[i];
-    hidden[lane] = 1.f - reached[columns * lane + OF_SKY];
   }
+  const vf hidden = 1.f - load_column(reached + OF_SKY, columns);
   const vf gain = hidden / max(max(sums[3], FACED_PART_MIN * hidden * cosines), all(FACED_MIN));
   for (int i = 0; i < 3; i++) out[i] = gain * sums[i];
 }

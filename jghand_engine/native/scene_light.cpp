@@ -430,8 +430,8 @@ void anchor_bounced(const LearnedTask& t, int32_t block) {
   const float* posed = s.posed + POSED * LANES * (int64_t)block;
   const int columns = columns_of(s);
   const float* rows = s.reached + columns * LANES * (int64_t)block;
-  vf p[3], normal[3], sum[3] = {}, faced = {}, hidden;
-  for (int lane = 0; lane < LANES; lane++) hidden[lane] = 1.f - rows[columns * lane + OF_SKY];
+  vf p[3], normal[3], sum[3] = {}, faced = {};
+  const vf hidden = 1.f - load_column(rows + OF_SKY, columns);
   for (int i = 0; i < 3; i++) p[i] = load(posed + LANES * i), normal[i] = load(posed + LANES * (3 + i));
   const float* end = s.thrown + THROWN * (LANES / PATCH) * (int64_t)(bit_mask(hidden > 0) ? t.cast.blocks : 0);
   for (const float* patch = s.thrown; patch < end; patch += THROWN) {

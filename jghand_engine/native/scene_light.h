@@ -108,6 +108,12 @@ JG_INLINE void store_column(float* rows, int stride, vf values) {
   for (int lane = 0; lane < LANES; lane++) rows[stride * lane] = values[lane];
 }
 
+JG_INLINE vf load_column(const float* rows, int stride) {
+  vf values;
+  for (int lane = 0; lane < LANES; lane++) values[lane] = rows[stride * lane];
+  return values;
+}
+
 // Each for all anchors, the first at most sixteen blocks at a time, then `light_blocks`.
 void anchor_lamps(const LearnedTask& t, int32_t first, int32_t end);
 void anchor_world(const LearnedTask& t, int32_t anchor_block);

@@ -136,10 +136,9 @@ class Backend:
         self._gaussians = new_rows(rows, ellipsoids=any(map(_has_ellipsoids, avatars)), fades=any(map(_fades, avatars)))
         self._hands: list[Poser] = []
         self._pixels_m = [avatar.pixel_m for avatar in avatars]
-        first = 0
+        limits, sweeps, first = limits_of(settings.effects), settings.sharp_shadows, 0
         for avatar in avatars:
             mine = _part(self._gaussians, slice(first, first + padded_rows(len(avatar))))
-            limits, sweeps = limits_of(settings.effects), settings.sharp_shadows
             self._hands.append(Poser(library, avatar, mine, limits, sweeps=sweeps))
             first += len(mine)
         self._counts = [len(avatar) for avatar in avatars]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
+from jghand_engine.export.light_file import ENV_FROM_WORLD
 from jghand_engine.learn.tables import Table, number
 from jghand_engine.native.scene_light_task import LampKind
 from jghand_engine.render.effect_plan import OF_SCENE, Choice, Decision, Effect
@@ -51,7 +52,7 @@ class LightRow:
 def world_and_lamps() -> SceneLight:
     """A sky above a ground, and LAMPS."""
     up = np.where(np.arange(16)[:, None, None] < 8, SKY, GROUND)
-    return SceneLight(World(np.broadcast_to(up, (16, 32, 3)), np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])), LAMPS)
+    return SceneLight(World(np.broadcast_to(up, (16, 32, 3)), ENV_FROM_WORLD), LAMPS)
 
 
 def measure_lights(subject: Subject, settings: RenderSettings) -> list[LightRow]:

@@ -100,7 +100,7 @@ LIGHTS = {name: SceneLight(None, (lamp,)) for name, lamp in LAMPS.items()} | {
 
 
 def bones_of(avatar: HandAvatar, pose: str = "fist") -> Bones:
-    return avatar.skeleton().bones(joints_of(pose))
+    return avatar.skeleton().bones(joints_of(pose, avatar.handedness))
 
 
 def natively(
@@ -248,10 +248,10 @@ def white(avatar: HandAvatar, bounce: float) -> HandAvatar:
     return with_response(hand, reflectance=none, shade_gain=0.0, bounce=np.full(3, bounce))
 
 
-def furnace(pose: str, limits: Limits) -> np.ndarray:
+def furnace(pose: str, limits: Limits, *, sweeps: bool = False) -> np.ndarray:
     """(N, 3) how bright a white hand is over the even world around it, where it faces an eye."""
     hand = white(estimated(load_builtin(handedness=Handedness.RIGHT)), 1.0)
-    bones, poser = bones_of(hand, pose), Poser(native_library.load(), hand, limits=limits)
+    bones, poser = bones_of(hand, pose), Poser(native_library.load(), hand, limits=limits, sweeps=sweeps)
     poser.prepare(bones, np.zeros(3), light=EVEN_LIGHT)
     poser.run()
     return from_all_sides(poser, len(hand)) / [0.2, 0.5, 1.0]
