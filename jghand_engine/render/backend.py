@@ -136,7 +136,7 @@ class Backend:
         self._gaussians = new_rows(rows, ellipsoids=any(map(_has_ellipsoids, avatars)), fades=any(map(_fades, avatars)))
         self._hands: list[Poser] = []
         self._pixels_m = [avatar.pixel_m for avatar in avatars]
-        limits, sweeps, first = limits_of(settings.effects), settings.sharp_shadows, 0
+        limits, sweeps, first = limits_of(settings.effects), settings.swept_light, 0
         for avatar in avatars:
             mine = _part(self._gaussians, slice(first, first + padded_rows(len(avatar))))
             self._hands.append(Poser(library, avatar, mine, limits, sweeps=sweeps))

@@ -105,7 +105,7 @@ def light_decisions(
     decisions = [
         _lamps(shares, weight, count),
         _lamp_shadows(light, shares, weight, count, choice, limits.lamp_shadow),
-        _world_shadow(*world, count, choice, sweeps=settings.sharp_shadows and light.baked is None),
+        _world_shadow(*world, count, choice, sweeps=settings.swept_light and light.baked is None),
         _gloss(light, weight, count, choice) if mirrors else _matt(choice),
     ]
     if moved_m is not None:

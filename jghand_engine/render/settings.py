@@ -32,8 +32,8 @@ class RenderSettings:
     shadow, shadow_samples: the self-shadow pass
     outline_px:        how far corners of a surface that ends a hand may be from the round outline of a finger, at the
                        depth of the wrist, before its faces are made finer
-    sharp_shadows:     whether shadows of small lamps end where those of the surface do (`lamp_depth`), or of capsules,
-                       and light that skin throws at the skin before it
+    sharp_shadows:     whether shadows of small lamps end where those of the surface do (`lamp_depth`), or of capsules
+    swept_light:       whether light that skin throws stops at the skin before it, or goes by form factors alone
     correctives:       how the corrections of a trained avatar's pose are found (avatar.tiers)
     threads:           0 = as many as is sensible
     backend:           "auto", "v3", "v4" or "neon": the variant of the kernels
@@ -54,6 +54,7 @@ class RenderSettings:
     shadow_samples: int = 16
     outline_px: float = 1.0
     sharp_shadows: bool = False
+    swept_light: bool = False
     correctives: Tier = Tier.AUTO
     threads: int = 0
     backend: str = "auto"
@@ -93,7 +94,12 @@ PRESETS: dict[str, RenderSettings] = {
     "draft": RenderSettings(gaussians=20_000, alpha_min=1 / 64, t_stop=1e-2, shadow=ShadowMode.OFF),
     "viewport": RenderSettings(),
     "final": RenderSettings(
-        alpha_min=1 / 1024, shadow_samples=64, outline_px=0.25, sharp_shadows=True, correctives=Tier.EXACT
+        alpha_min=1 / 1024,
+        shadow_samples=64,
+        outline_px=0.25,
+        sharp_shadows=True,
+        swept_light=True,
+        correctives=Tier.EXACT,
     ),
     "reference": RenderSettings(
         alpha_min=1 / 16384,
@@ -102,6 +108,7 @@ PRESETS: dict[str, RenderSettings] = {
         shadow_samples=64,
         outline_px=0.25,
         sharp_shadows=True,
+        swept_light=True,
         correctives=Tier.EXACT,
         reuse=False,
     ),

@@ -34,6 +34,8 @@ PASSES = {
     "sharp shadows": Effect.SHARP_SHADOW, "lamps' shadows": Effect.LAMP_SHADOW,
     "the world's shadow and bounced light": Effect.WORLD_SHADOW, "gloss": Effect.GLOSS,
 }  # fmt: skip
+# not a pass of its own: `RenderSettings.swept_light`
+THROWN_LIGHT_STOPS = "skin that stops thrown light"
 _SHADOW_SAMPLES = (8, 16, 32, 64)
 # prefixes of an avatar's Gaussians, and sizes of the linear form of its correctives, that are compared
 COUNTS = (10_000, 20_000, 30_000, 40_000, 60_000, 120_000)
@@ -104,6 +106,7 @@ def _lights(avatar: HandAvatar, own: RenderSettings) -> Iterator[Variant]:
     for name, effect in PASSES.items():
         without = replace(own, effects=Choice(frozenset(CHOOSABLE) - {effect}))
         yield Variant(LIGHT, f"without {name}", without, light=light)
+    yield Variant(LIGHT, f"without {THROWN_LIGHT_STOPS}", replace(own, swept_light=False), light=light)
 
 
 def linear_tiers(avatar: HandAvatar) -> dict[int, LinearCorrectives]:

@@ -28,6 +28,7 @@ from jghand_engine.study.accuracy_variants import (
     CORRECTIVES,
     LIGHT,
     PASSES,
+    THROWN_LIGHT_STOPS,
     THREADS,
     TOGETHER,
     linear_tiers,
@@ -70,7 +71,7 @@ def test_every_axis_is_compared_and_changes_only_itself():
         changed = {name for name in vars(final) if getattr(one.settings, name) != getattr(final, name)}
         allowed = {"Gaussians": {"gaussians"}, CORRECTIVES: {"effects"}, "blend": {"alpha_min", "t_stop"},
                    "shadow": {"shadow", "shadow_samples"}, "stored as": set(),
-                   THREADS: {"threads"}, LIGHT: {"effects"}}  # fmt: skip
+                   THREADS: {"threads"}, LIGHT: {"effects", "swept_light"}}  # fmt: skip
         assert (one.light is not None) == (one.axis == LIGHT)
         assert one.axis == TOGETHER or changed <= allowed[one.axis]
     assert [one.name for one in found if one.axis == CORRECTIVES] == [
@@ -87,7 +88,9 @@ def test_a_painted_hand_has_neither_correctives_nor_a_scenes_light_to_compare():
 def test_in_the_light_of_a_scene_each_row_leaves_out_its_pass():
     lit = [one for one in variants(trained_avatar(60), SMALL, {}) if one.light is not None]
     forbidden = {one.name: {each for each in CHOOSABLE if not one.settings.effects.allows(each)} for one in lit}
-    assert forbidden == {"whole": set()} | {f"without {name}": {effect} for name, effect in PASSES.items()}
+    none = {"whole": set(), f"without {THROWN_LIGHT_STOPS}": set()}
+    assert forbidden == none | {f"without {name}": {effect} for name, effect in PASSES.items()}
+    assert [one.name for one in lit if not one.settings.swept_light] == [f"without {THROWN_LIGHT_STOPS}"]
     assert set(PASSES.values()) == OF_SCENE - {Effect.LAMPS}
 
 
@@ -179,11 +182,13 @@ def test_everything_is_measured_together(study):
 @needs_native
 def test_in_the_light_of_a_scene_a_pass_that_is_left_out_is_seen(study):
     whole, *parts = [row.error.psnr_db for row in study[1].rows if row.axis == LIGHT]
-    sharp, *others = parts
+    sharp, *others, through = parts
     # a hand without a surface has no sharp shadows
-    assert whole == sharp > max(others) + 10
+    assert whole == sharp > through > max(others) + 10
     table = next(one for one in study[1].tables() if one.title.startswith("In the light of a scene"))
-    assert [row[0] for row in table.rows] == ["light: whole", *(f"light: without {name}" for name in PASSES)]
+    assert [row[0] for row in table.rows] == [
+        "light: whole", *(f"light: without {name}" for name in (*PASSES, THROWN_LIGHT_STOPS))
+    ]  # fmt: skip
 
 
 @needs_native
@@ -194,7 +199,7 @@ def test_passes_of_a_scenes_light_are_compared_with_pictures_in_known_light_alon
     truth = accuracy_measures.held_out_truth(avatar, folder, lambda _: None, pictures=2)
     rows = measure_accuracy(Plan(avatar, "small", SMALL, truth, 1, SHORT)).rows
     gains = {row.name: row.truth.gain_db for row in rows if row.axis == LIGHT and row.truth is not None}
-    assert len(gains) == lit * (1 + len(PASSES))
+    assert len(gains) == lit * (2 + len(PASSES))
     assert all(row.truth is not None for row in rows if row.axis != LIGHT)
     if lit:
         assert gains["without lamps' shadows"] < gains["whole"] - 0.1
