@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .view import BLOCKERS, LIGHT_FROM_WORLD
+from .view import BLOCKERS, EVERYTHING, LIGHT_FROM_WORLD, RECEIVERS, Picked
 
 # as many light each hand: the engine's own number, and it finds the brightest of those that are sent
 LAMPS_LIT = 32
@@ -41,7 +41,8 @@ class BlenderLight:
     is_ellipse:    whether an area is one
     spread:        of an area, across
     has_shadow:    whether what it lights shades itself
-    blockers:      which things throw its shadows: names, and whether these do or all others; None for all
+    blockers:      which things throw its shadows
+    receivers:     which hands it lights
     matt, gloss:   factors of the light that skin scatters and of that which it mirrors
     """
 
@@ -62,7 +63,8 @@ class BlenderLight:
     has_shadow: bool = True
     matt: float = 1.0
     gloss: float = 1.0
-    blockers: tuple[tuple[tuple[str, str], ...], bool] | None = None
+    blockers: Picked = EVERYTHING
+    receivers: Picked = EVERYTHING
 
 
 def lamps_of(light: BlenderLight, unit_m: float) -> list[dict[str, Any]]:
@@ -88,8 +90,8 @@ def lamps_of(light: BlenderLight, unit_m: float) -> list[dict[str, Any]]:
         return []
     place = {"place_m": (turned[:3, 3] * unit_m).tolist()}
     lamp = {"kind": light.kind.lower(), "has_shadow": light.has_shadow, **place, **lamp}
-    if light.blockers is not None:
-        lamp[BLOCKERS] = light.blockers
+    picks = {BLOCKERS: light.blockers, RECEIVERS: light.receivers}
+    lamp |= {name: picked for name, picked in picks.items() if picked != EVERYTHING}
     parts: list[tuple[float, dict[str, bool]]] = [(light.matt, {})]
     if light.matt != light.gloss:
         parts = [(light.matt, {"on_gloss": False}), (light.gloss, {"on_matt": False})]

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -105,7 +105,7 @@ def avatar_stamp(avatar: str) -> str:
 class HandInSpace:
     """joints_m: (21, 3) in hand space, standard order, meters; world_from_hand: (4, 4) rigid, meters; name: for people
     alone; forearm: whether one is shown; forearm_turn: (4,) how, see `posing.forearm_rotations`, None: as the palm
-    carries it."""
+    carries it; called: what light linking may call it, see `armature.called`."""
 
     handedness: str
     joints_m: np.ndarray
@@ -114,6 +114,7 @@ class HandInSpace:
     name: str = ""
     forearm: bool = True
     forearm_turn: np.ndarray | None = None
+    called: frozenset[tuple[str, ...]] = frozenset()
 
     @property
     def pose_bytes(self) -> bytes:
@@ -137,15 +138,24 @@ class Moment:
     weight: float = 1.0
 
 
-# field of a lamp that the engine has not: see `lamps.BlenderLight`
-BLOCKERS = "blockers"
+# which things, or hands, a lamp picks by light linking: names, and whether these or all others
+Picked = tuple[tuple[tuple[str, ...], ...], bool]
+EVERYTHING: Picked = ((), False)
+# fields of a lamp that the engine has not: see `lamps.BlenderLight`
+BLOCKERS, RECEIVERS = "blockers", "receivers"
+
+
+def is_picked(called: Collection[tuple[str, ...]], picked: Picked) -> bool:
+    """Whether something of any of these names is among what a lamp picks."""
+    names, are_these = picked
+    return any(name in names for name in called) == are_these
 
 
 @dataclass(frozen=True)
 class SceneLight:
     """The light that a scene throws on its hands. lamps: records, see the engine's `Lamp`, in the axes of
-    LIGHT_FROM_WORLD, and their BLOCKERS; world: {key, env_from_world}, None for a black one; picture: (rows, columns,
-    3) float32 of it;
+    LIGHT_FROM_WORLD, and their BLOCKERS and RECEIVERS; world: {key, env_from_world}, None for a black one; picture:
+    (rows, columns, 3) float32 of it;
     left: (hands, lamps, POINTS) uint8 what things leave of the lamps at `stand_in.points_on` hands, None for all.
     baked: (hands, FINE_POINTS, 4, 3) float32 all light at others, see the engine's `Baked`, None where it is not."""
 
@@ -157,13 +167,24 @@ class SceneLight:
 
     @property
     def record(self) -> dict[str, Any]:
-        """As the engine takes it, beside the picture; equal for equal lights."""
-        lamps = [{name: value for name, value in lamp.items() if name != BLOCKERS} for lamp in self.lamps]
+        """As the engine takes it, beside the picture; equal for equal lights. All lamps light all hands."""
+        ours = (BLOCKERS, RECEIVERS)
+        lamps = [{name: value for name, value in lamp.items() if name not in ours} for lamp in self.lamps]
         return {"lamps": lamps, "world": self.world}
+
+    def record_on(self, hands: Sequence[HandInSpace]) -> dict[str, Any]:
+        """The same, with the numbers of those of these hands that a lamp lights, where that is not all."""
+        record = self.record
+        for lamp, sent in zip(self.lamps, record["lamps"], strict=True):
+            picked = lamp.get(RECEIVERS, EVERYTHING)
+            lit = [place for place, hand in enumerate(hands) if is_picked(hand.called, picked)]
+            if len(lit) < len(hands):
+                sent["hands"] = lit
+        return record
 
     @cached_property
     def key(self) -> str:
-        """Of the record and the blockers, and of what is left of it."""
+        """Of the record and what lamps pick, and of what is left of it."""
         return repr((self.lamps, self.world)) + (
             "" if self.left is None else hashlib.blake2b(self.left.tobytes()).hexdigest()
         )
@@ -214,7 +235,7 @@ def picture_request(
             numbers["forearms"] = [[(1, 0, 0, 0) if turn is None else turn for turn in of] for of in turns]
     arrays = {name: protocol.Array.of(np.array(values, "<f8")) for name, values in numbers.items()}
     if light is not None:
-        header["light"] = light.record
+        header["light"] = light.record_on(first.hands)
         if light.picture is not None:
             arrays["world"] = protocol.Array.of(np.ascontiguousarray(light.picture, "<f4"))
         if light.left is not None:

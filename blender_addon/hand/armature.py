@@ -102,6 +102,19 @@ def name_in_files(thing: bpy.types.Object) -> tuple[str, str]:
     return thing.name, thing.library.filepath if thing.library is not None else ""
 
 
+def called(hand: bpy.types.Object, side: str, shown_by: bpy.types.Object) -> frozenset[tuple[str, ...]]:
+    """What light linking may call the hand of a side of an object: the object, the hand's stand-in, and what instances
+    it, or the object itself."""
+    name = name_in_files(hand)
+    return frozenset([name, (*name, side), name_in_files(shown_by)])
+
+
+def name_in_links(thing: bpy.types.Object) -> tuple[str, ...]:
+    """The same of what a collection of light linking has: stand-ins are called by their hands, and made anew."""
+    is_of_hand = STAND_IN in thing and thing.parent is not None
+    return (*name_in_files(thing.parent), thing[STAND_IN]) if is_of_hand else name_in_files(thing)
+
+
 def hands_at_any_frame(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
     """The hands of a view layer that take part in renders now or, being animated so, at another frame, by name."""
     return rendered_at_any_frame(view_layer, is_any_hand)

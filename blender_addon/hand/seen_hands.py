@@ -90,18 +90,24 @@ def read(
             if switched_on_only and not hand.jghand.show_in_viewport:
                 continue
             try:
-                hands += read_shown(hand, depsgraph, placed)
+                hands += read_shown(hand, depsgraph, placed, thing)
             except JGHandFailure as failure:
                 failures.append((hand.name, failure))
     return hands, failures
 
 
-def read_shown(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph, placed: np.ndarray) -> list[HandInSpace]:
-    """The hands of one of `hands_shown`, with their avatar. Raises JGHandFailure as `sources.read_hands`."""
+def read_shown(
+    hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph, placed: np.ndarray, shown_by: bpy.types.Object
+) -> list[HandInSpace]:
+    """The hands of one of `hands_shown`, with their avatar. shown_by: the object that shows it. Raises JGHandFailure as
+    `sources.read_hands`."""
     avatar = avatar_of(hand)
     forearm = hand.jghand.forearm and avatar_files.has_forearm(avatar)
     shown = {"avatar": avatar, "name": hand.name, "forearm": forearm}
-    return [replace(each, **shown) for each in sources.read_hands(hand, depsgraph, placed)]
+    return [
+        replace(each, **shown, called=armature.called(hand, each.handedness, shown_by))
+        for each in sources.read_hands(hand, depsgraph, placed)
+    ]
 
 
 def avatar_of(thing: bpy.types.Object) -> str:

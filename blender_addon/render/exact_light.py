@@ -23,7 +23,7 @@ import numpy as np
 
 from .. import clock
 from ..core.stand_in import FINE_POINTS, Surface, points_on, surface_at
-from ..core.view import LIGHT_FROM_WORLD, HandInSpace, SceneLight
+from ..core.view import LIGHT_FROM_WORLD, HandInSpace, SceneLight, is_picked
 from ..core.worlds import LOOKS, above_skin, fields
 from ..errors import JGHandFailure
 from ..hand import armature, stand_ins
@@ -41,12 +41,12 @@ class _Stage:
     """A scene in which the light of the same hands is baked, frame by frame.
 
     hands:  their surfaces
-    facets: above the skin of all of them
+    facets: above the skin of each
     """
 
     scene: bpy.types.Scene
     hands: list[bpy.types.Object]
-    facets: bpy.types.Object
+    facets: list[bpy.types.Object]
 
 
 # by scene, view layer and hands
@@ -136,47 +136,49 @@ def _bake(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, hands: Sequence[Ha
     turn = LIGHT_FROM_WORLD[:3, :3]
     surfaces = [surface_at(hand.joints_world_m @ turn.T, hand.handedness) for hand in hands]
     places = [points_on(surface, FINE_POINTS) for surface in surfaces]
-    points, normals = map(np.concatenate, zip(*places, strict=True))
-    key = scene.session_uid, layer.name, *_sides(hands)
+    key = scene.session_uid, layer.name, *(hand.called for hand in hands)
     stage = _stages.get(key)
     if stage is None:
-        stage = _stages[key] = _new_stage(scene, layer, surfaces)
+        stage = _stages[key] = _new_stage(scene, layer, hands, surfaces)
     own = stage.scene
     own.world = worlds.world_in(scene, layer)
     own.frame_current, own.frame_subframe = scene.frame_current, scene.frame_subframe
     to_scene = turn / scene.unit_settings.scale_length
-    shapes = [surface.vertices for surface in surfaces] + [above_skin(points, normals).reshape(-1, 3)]
-    for thing, vertices in zip([*stage.hands, stage.facets], shapes, strict=True):
+    shapes = [surface.vertices for surface in surfaces] + [above_skin(*place).reshape(-1, 3) for place in places]
+    for thing, vertices in zip([*stage.hands, *stage.facets], shapes, strict=True):
         thing.data.vertices.foreach_set("co", (vertices @ to_scene).ravel())
         thing.data.update()
+    normals = np.concatenate([normals for _, normals in places])
     found = fields(probe.bake(own, stage.facets) @ worlds.rec709_from_scene().T, normals)
     return found.reshape(len(hands), FINE_POINTS, 4, 3).astype("<f4")
 
 
-def _new_stage(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Sequence[Surface]) -> _Stage:
+def _new_stage(
+    scene: bpy.types.Scene, layer: bpy.types.ViewLayer, hands: Sequence[HandInSpace], surfaces: Sequence[Surface]
+) -> _Stage:
     made: list[Any] = []
     try:
         own = probe.new_scene(scene, None, made, SAMPLES)
         white = probe.new_material("ShaderNodeBsdfDiffuse", (1.0, 1.0, 1.0, 1.0), made)
         skin = probe.new_material("ShaderNodeBsdfDiffuse", stand_ins.SKIN_RGBA, made)
-        above = probe.new_facets(np.zeros((LOOKS * FINE_POINTS * len(surfaces), 3, 3)), made)
-        above.data.materials.append(white)
-        for name in _SEEN_BY:
-            setattr(above, f"visible_{name}", False)
-        hands = []
+        facets, skins = [], []
         for surface in surfaces:
+            above = probe.new_facets(np.zeros((LOOKS * FINE_POINTS, 3, 3)), made)
+            above.data.materials.append(white)
+            for name in _SEEN_BY:
+                setattr(above, f"visible_{name}", False)
             mesh = bpy.data.meshes.new(probe.NAME)
             made.append((bpy.data.meshes, mesh))
             mesh.from_pydata(surface.vertices, [], surface.faces)
             mesh.materials.append(skin)
-            hands.append(bpy.data.objects.new(probe.NAME, mesh))
-            made.append((bpy.data.objects, hands[-1]))
+            facets.append(above)
+            skins.append(bpy.data.objects.new(probe.NAME, mesh))
+            made.append((bpy.data.objects, skins[-1]))
         there = armature.rendered_at_any_frame(layer, _is_there)
-        of_hands = armature.rendered_at_any_frame(layer, armature.is_any_hand)
-        there = [_linked(thing, above, hands, of_hands, made) if thing.type == "LIGHT" else thing for thing in there]
-        for thing in (above, *hands, *there):
+        there = [_linked(thing, facets, skins, hands, made) if thing.type == "LIGHT" else thing for thing in there]
+        for thing in (*facets, *skins, *there):
             own.collection.objects.link(thing)
-        return _Stage(own, hands, above)
+        return _Stage(own, skins, facets)
     finally:
         handover.leave(made)
 
@@ -188,16 +190,16 @@ def _is_there(thing: bpy.types.Object) -> bool:
 
 def _linked(
     lamp: bpy.types.Object,
-    above: bpy.types.Object,
-    surfaces: Sequence[bpy.types.Object],
-    hands: Sequence[bpy.types.Object],
+    facets: Sequence[bpy.types.Object],
+    skins: Sequence[bpy.types.Object],
+    hands: Sequence[HandInSpace],
     made: list[Any],
 ) -> bpy.types.Object:
-    """A lamp that lights facets and surfaces, and is shaded by surfaces, as its light linking has it with the hands; a
-    copy where that is to be said."""
+    """A lamp that lights the facets and skins of hands, and is shaded by skins, as its light linking has it with the
+    hands; a copy where that is to be said."""
     linking = lamp.light_linking
-    receivers = _with_ours(linking.receiver_collection, (above, *surfaces), hands, made)
-    blockers = _with_ours(linking.blocker_collection, surfaces, hands, made)
+    receivers = _with_ours(linking.receiver_collection, (*facets, *skins), (*hands, *hands), made)
+    blockers = _with_ours(linking.blocker_collection, skins, hands, made)
     if (receivers, blockers) == (linking.receiver_collection, linking.blocker_collection):
         return lamp
     copy = lamp.copy()
@@ -210,20 +212,23 @@ def _linked(
 def _with_ours(
     linked: bpy.types.Collection | None,
     ours: Sequence[bpy.types.Object],
-    hands: Sequence[bpy.types.Object],
+    hands: Sequence[HandInSpace],
     made: list[Any],
 ) -> bpy.types.Collection | None:
-    """Receivers or blockers of a lamp, with what is ours as the hands are; a copy where that is to be said."""
+    """Receivers or blockers of a lamp, with what is ours as its hand is; a copy where that is to be said."""
     if linked is None:
         return None
-    is_wanted = lamps.lights_any(linked, hands)
+    picked = lamps.picked_by(linked)
     states = {how.light_linking.link_state for how in (*linked.collection_objects, *linked.collection_children)}
-    if is_wanted != ("INCLUDE" in states):
+    # what is not named is excluded as soon as something is included
+    names_lit = "INCLUDE" in states
+    named = [thing for thing, hand in zip(ours, hands, strict=True) if is_picked(hand.called, picked) == names_lit]
+    if not named:
         return linked
     copy = linked.copy()
     made.append((bpy.data.collections, copy))
     copy.name = probe.NAME
-    for thing in ours:
+    for thing in named:
         copy.objects.link(thing)
-        copy.collection_objects[-1].light_linking.link_state = "INCLUDE" if is_wanted else "EXCLUDE"
+        copy.collection_objects[-1].light_linking.link_state = "INCLUDE" if names_lit else "EXCLUDE"
     return copy

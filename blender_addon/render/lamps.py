@@ -17,7 +17,9 @@ import numpy as np
 from mathutils import Color
 
 from ..core import lamps, pacing
-from ..hand import armature
+from ..core.joints import LEFT, RIGHT
+from ..core.view import EVERYTHING, Picked, is_picked
+from ..hand import armature, seen_hands
 from . import composite, world_nodes
 
 # settings of views that choose lamps
@@ -133,9 +135,7 @@ def _read(
             power = 0.0  # it only guides the world's light
     size_x = getattr(light, "size", 0.0)
     shape = getattr(light, "shape", "SQUARE")
-    blockers = thing.light_linking.blocker_collection
-    has_shadow = light.use_shadow and lights_any(blockers, hands)
-    names, is_picked = _linked(blockers)
+    linking = thing.light_linking
     return lamps.BlenderLight(
         kind=light.type,
         matrix=matrix,
@@ -151,10 +151,11 @@ def _read(
         size=(size_x, light.size_y if shape in ("RECTANGLE", "ELLIPSE") else size_x),
         is_ellipse=shape in ("DISK", "ELLIPSE"),
         spread=np.pi if eevee else getattr(light, "spread", np.pi),
-        has_shadow=has_shadow,
+        has_shadow=light.use_shadow and lights_any(linking.blocker_collection, hands),
         matt=thing.visible_diffuse * (light.diffuse_factor if eevee else 1.0),
         gloss=thing.visible_glossy * (light.specular_factor if eevee else 1.0),
-        blockers=(tuple(sorted(names)), is_picked) if names else None,
+        blockers=picked_by(linking.blocker_collection),
+        receivers=picked_by(linking.receiver_collection),
     )
 
 
@@ -173,9 +174,6 @@ def _warnings(thing: bpy.types.Object, hands: Sequence[bpy.types.Object], *, eev
     unread = "" if eevee else world_nodes.of_light(light)[1]
     if unread:
         yield f'{name}: "{unread}" of its nodes is left out on hands; give its Emission plain values'
-    receivers = thing.light_linking.receiver_collection
-    if len({lights_any(receivers, [hand]) for hand in hands}) > 1:
-        yield f"{name}: light linking leaves out some of the hands, but it lights them all; link all or none"
     blockers = thing.light_linking.blocker_collection
     if light.use_shadow and not lights_any(blockers, hands):
         yield f"{name}: nothing shades hands, as its shadow linking leaves them out; link them too"
@@ -186,21 +184,27 @@ def _warnings(thing: bpy.types.Object, hands: Sequence[bpy.types.Object], *, eev
 
 def lights_any(linked: bpy.types.Collection | None, hands: Sequence[bpy.types.Object]) -> bool:
     """Whether any of the hands is a receiver, or a blocker, of a light's collection of those."""
-    names, is_picked = _linked(linked)
-    return not hands or any((armature.name_in_files(hand) in names) == is_picked for hand in hands)
+    picked = picked_by(linked)
+    return not hands or any(is_picked(called, picked) for thing in hands for called in _called(thing))
 
 
-def _linked(linked: bpy.types.Collection | None) -> tuple[set[tuple[str, str]], bool]:
-    """The names of those whom a light's collection picks, True, or of those whom it leaves out, False: an empty one has
-    everything. Objects count before collections; who is excluded is out, and so is whoever is not among those who are
-    included."""
+def _called(thing: bpy.types.Object) -> Iterator[frozenset[tuple[str, ...]]]:
+    """What light linking may call each hand that an object is, or instances."""
+    for hand in (thing, *seen_hands.hands_below(thing)):
+        yield from (armature.called(hand, side, thing) for side in (RIGHT, LEFT))
+
+
+def picked_by(linked: bpy.types.Collection | None) -> Picked:
+    """What a light's collection picks, or leaves out: an empty one has everything. Objects count before collections;
+    who is excluded is out, and so is whoever is not among those who are included."""
     if linked is None:
-        return set(), False
-    states: dict[tuple[str, str], str] = {}
+        return EVERYTHING
+    states: dict[tuple[str, ...], str] = {}
     for child, how in zip(linked.children, linked.collection_children, strict=True):
         for thing in child.all_objects:
-            states[armature.name_in_files(thing)] = how.light_linking.link_state
+            states[armature.name_in_links(thing)] = how.light_linking.link_state
     for thing, how in zip(linked.objects, linked.collection_objects, strict=True):
-        states[armature.name_in_files(thing)] = how.light_linking.link_state
+        states[armature.name_in_links(thing)] = how.light_linking.link_state
     named = "INCLUDE" if "INCLUDE" in states.values() else "EXCLUDE"
-    return {name for name, state in states.items() if state == named}, named == "INCLUDE"
+    names = sorted(name for name, state in states.items() if state == named)
+    return (tuple(names), named == "INCLUDE") if names else EVERYTHING

@@ -67,7 +67,7 @@ def measure(
             ball.location = around.place
             for thing in (*around.things, *_lamps_for_others(around.lamps, ball, made)):
                 own.collection.objects.link(thing)
-        out = bake(own, ball)
+        out = bake(own, [ball])
     finally:
         handover.put_away(made)
     return worlds.measured(looks, out)
@@ -168,14 +168,15 @@ def new_material(shader: str, rgba: tuple[float, float, float, float], made: lis
     return material
 
 
-def bake(scene: bpy.types.Scene, ball: bpy.types.Object) -> np.ndarray:
-    """(facets, 3) radiance that goes out of each of `new_facets` in `new_scene`. JGHandFailure: world_bake."""
+def bake(scene: bpy.types.Scene, things: list[bpy.types.Object]) -> np.ndarray:
+    """(facets, 3) radiance that goes out of each of those of `new_facets` in `new_scene`. JGHandFailure: world_bake."""
     layer = scene.view_layers[0]
     layer.update()
-    ball.select_set(True, view_layer=layer)
-    layer.objects.active = ball
+    for thing in things:
+        thing.select_set(True, view_layer=layer)
+    first = layer.objects.active = things[0]
     with bpy.context.temp_override(
-        scene=scene, view_layer=layer, active_object=ball, object=ball, selected_objects=[ball]
+        scene=scene, view_layer=layer, active_object=first, object=first, selected_objects=things
     ):
         try:
             end = bpy.ops.object.bake(type="COMBINED")
@@ -183,7 +184,11 @@ def bake(scene: bpy.types.Scene, ball: bpy.types.Object) -> np.ndarray:
             raise JGHandFailure("world_bake", str(error)) from error
     if end != {"FINISHED"}:  # nothing was written: that would be black
         raise JGHandFailure("world_bake", ", ".join(end))
-    attribute = ball.data.color_attributes[NAME]
+    return np.concatenate([_baked(thing) for thing in things])
+
+
+def _baked(facets: bpy.types.Object) -> np.ndarray:
+    attribute = facets.data.color_attributes[NAME]
     values = np.empty(4 * len(attribute.data), np.float32)
     attribute.data.foreach_get("color", values)
     return values.reshape(-1, 3, 4)[..., :3].mean(1)

@@ -133,7 +133,7 @@ def _hands_of(things: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph
     hands: list[HandInSpace] = []
     for thing in things:
         for hand, placed in seen_hands.hands_shown(thing, known, for_render=True):
-            hands += seen_hands.read_shown(hand, depsgraph, placed)
+            hands += seen_hands.read_shown(hand, depsgraph, placed, thing)
     return hands
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from mathutils.bvhtree import BVHTree
 from mathutils.kdtree import KDTree
 
-from ..core.view import BLOCKERS, LIGHT_FROM_WORLD
+from ..core.view import BLOCKERS, EVERYTHING, LIGHT_FROM_WORLD, is_picked
 from ..hand import armature
 
 # a lamp whose half angle has a larger sine, as the hand sees it, throws soft shadows: rays go to its strata, 2 x 2, and
@@ -260,8 +260,8 @@ def _between(points: np.ndarray, lamp: Mapping[str, Any], standing: _Standing) -
     nearest = np.clip(along + aside * slope / math.sqrt(max(1 - slope * slope, 1e-30)), 0.0, length)
     apart = np.hypot(along - nearest, aside) - (radius + slope * nearest)
     rows = np.flatnonzero(apart <= standing.radii).tolist()
-    names, is_picked = lamp.get(BLOCKERS, ((), False))
-    return [row for row in rows if (standing.names[row] in names) == is_picked]
+    blockers = lamp.get(BLOCKERS, EVERYTHING)
+    return [row for row in rows if is_picked([standing.names[row]], blockers)]
 
 
 def _radius(lamp: Mapping[str, Any]) -> float:

@@ -58,7 +58,9 @@ def lamp_of(record: JsonObject) -> Lamp:
     for name, field in known.items():
         if name == "kind" or (name not in record.fields and field.default is not MISSING):
             continue
-        if name in _VECTORS:
+        if name == "hands":
+            values[name] = tuple(record.value(name, _are_places, "a list of whole numbers, 0 and up"))
+        elif name in _VECTORS:
             count, least = _VECTORS[name]
             values[name] = record.numbers(name, count, least, NUMBER_MAX)
         elif isinstance(field.default, bool):
@@ -66,6 +68,10 @@ def lamp_of(record: JsonObject) -> Lamp:
         else:
             values[name] = record.number(name, 0, NUMBER_MAX)
     return Lamp(**values)
+
+
+def _are_places(value: Any) -> bool:
+    return isinstance(value, list) and all(type(place) is int and place >= 0 for place in value)
 
 
 def turn_of(record: JsonObject) -> np.ndarray:

@@ -144,6 +144,7 @@ class Lamp:
     spread_rad:  of an area, across; pi: all of the half space
     has_shadow:  whether the hand shades itself from it
     on_matt, on_gloss: which light of it counts
+    hands:       numbers of the hands of an image that it lights; None: all
     """
 
     kind: LampKind
@@ -162,6 +163,7 @@ class Lamp:
     has_shadow: bool = True
     on_matt: bool = True
     on_gloss: bool = True
+    hands: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         numbers = np.array([*self.rgb, *self.place_m, *self.axis, *self.side, self.radius_m, *self.size_m], np.float64)
@@ -205,6 +207,11 @@ class Lamp:
         for name, value in values.items():
             row[NUMBER[name]] = value
         return row
+
+    @property
+    def black(self) -> Lamp:
+        """The same without light."""
+        return replace(self, rgb=(0.0, 0.0, 0.0))
 
     @cached_property
     def sides(self) -> np.ndarray:
@@ -253,15 +260,24 @@ class SceneLight:
         """(lamps, LAMP_NUMBERS) of its lamps, as `Lamp.numbers` has them."""
         return np.array([lamp.numbers for lamp in self.lamps]).reshape(-1, len(LAMP_NUMBERS))
 
+    @cached_property
+    def _on_hands(self) -> dict[int, SceneLight]:
+        return {}
+
     def on_hand(self, place: int) -> SceneLight:
-        """As it falls on one hand of an image."""
-        if self.shades is None and self.baked is None:
+        """As it falls on one hand of an image, each time the very same: lamps that light others alone are black."""
+        is_lit = [lamp.hands is None or place in lamp.hands for lamp in self.lamps]
+        if self.shades is None and self.baked is None and all(is_lit):
             return self
-        return replace(
-            self,
-            shades=self.shades and Shades(self.shades.left[place : place + 1]),
-            baked=self.baked and Baked(self.baked.field[place : place + 1]),
-        )
+        if place not in self._on_hands:
+            pairs = zip(self.lamps, is_lit, strict=True)
+            self._on_hands[place] = replace(
+                self,
+                lamps=self.lamps if all(is_lit) else tuple(lamp if lit else lamp.black for lamp, lit in pairs),
+                shades=self.shades and Shades(self.shades.left[place : place + 1]),
+                baked=self.baked and Baked(self.baked.field[place : place + 1]),
+            )
+        return self._on_hands[place]
 
 
 def harmonics(direction: np.ndarray) -> np.ndarray:

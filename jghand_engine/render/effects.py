@@ -173,7 +173,7 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
         strength = 0.0
         sharp, edges = sharp_shadows(scene.lit, scene.moved_m, scene.bones, hands, seen, scene.camera, settings)
         lit = with_layers(scene.lit, sharp, seen)
-        lamps, shadows, *others = light_decisions(lit, scene.moved_m, bones, drawn, settings)
+        lamps, shadows, *others = light_decisions(lit, scene.moved_m, bones, drawn, shown, settings)
         light = [lamps, shadows, edges, *others]
     enlarged, plain, smooth = _filter(views, settings, box)
     crop = _crop(scene, settings, box, strength > 0)

@@ -80,12 +80,18 @@ def limits_of(choice: Choice) -> Limits:
 
 
 def light_decisions(
-    lit: Lit, moved_m: float | None, bones: Sequence[Bones], hands: Sequence[HandFacts], settings: RenderSettings
+    lit: Lit,
+    moved_m: float | None,
+    bones: Sequence[Bones],
+    hands: Sequence[HandFacts],
+    places: Sequence[int],
+    settings: RenderSettings,
 ) -> list[Decision]:
-    """About lamps, their shadows, that of the world, and gloss. moved_m, bones: see `effects.Scene`"""
+    """About lamps, their shadows, that of the world, and gloss. moved_m, bones: see `effects.Scene` · places: of these
+    hands in the image, their numbers"""
     lit_hands = [
-        (one, hand.joints_m, hand.response, hand.count)
-        for one, hand in zip(bones, hands, strict=True)
+        (place, one, hand.joints_m, hand.response, hand.count)
+        for place, one, hand in zip(places, bones, hands, strict=True)
         if hand.response is not None
     ]
     names = (Effect.LAMPS, Effect.LAMP_SHADOW, Effect.WORLD_SHADOW, Effect.GLOSS)
@@ -93,15 +99,15 @@ def light_decisions(
         return [Decision(effect, False, PAINTED) for effect in names]
     choice = settings.effects
     light, limits, count = lit.light, limits_of(choice), sum(gaussians for *_, gaussians in lit_hands)
-    each = [shares_on(light, one, joints_m)[0] for one, joints_m, _, _ in lit_hands]
+    each = [shares_on(light.on_hand(place), one, joints_m)[0] for place, one, joints_m, _, _ in lit_hands]
     # of several hands the one that gets the most
     most = each[0] if len(each) == 1 else np.max(each, axis=0)
     shares = most[:-1]
     world = max(
-        world_shade(share, response.bounce, limits) for share, (_, _, response, _) in zip(each, lit_hands, strict=True)
+        world_shade(share, response.bounce, limits) for share, (*_, response, _) in zip(each, lit_hands, strict=True)
     )
     weight = lamp_weights(most, limits)
-    mirrors = any(response.mirrors for _, _, response, _ in lit_hands)
+    mirrors = any(response.mirrors for *_, response, _ in lit_hands)
     decisions = [
         _lamps(shares, weight, count),
         _lamp_shadows(light, shares, weight, count, choice, limits.lamp_shadow),
@@ -187,7 +193,10 @@ def sharp_shadows(
     if not settings.sharp_shadows:
         return skipped("presets final and reference ask for it")
     have_shadows, found, casts, cost_ms = _have_shadows(light), [], np.zeros(len(light.lamps), bool), 0.0
-    each = [shares_on(light, one, hand.joints_m) for one, hand in zip(bones, hands, strict=True)]
+    each = [
+        shares_on(light.on_hand(place), one, hand.joints_m)
+        for place, (one, hand) in enumerate(zip(bones, hands, strict=True))
+    ]
     limit = _pixel_light([shares[:-1] for (shares, _), is_seen in zip(each, seen, strict=True) if is_seen])
     # baked light has its shadows
     at_all = lit.draws_layers and light.baked is None

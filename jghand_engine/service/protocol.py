@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 # compared with strict equality on both sides; raise it with every change of a message
-PROTOCOL_VERSION = 4
+PROTOCOL_VERSION = 5
 # the header is names, numbers and a FrameReport: 64 kB is plenty and bounds the work on hostile JSON
 HEADER_MAX_BYTES = 64 * 1024
 # a 16 K x 4 K float picture; bounds what one message can make the other side allocate

@@ -204,6 +204,14 @@ def test_lamps_light_hands_as_their_light_linking_says(scene, few_points):
     assert found[0] > 0.9
     assert found[1] < 0.05
     assert len(linked.objects) == 1
+    other = hand.copy()
+    scene.collection.objects.link(other)
+    other.location.x = 0.3
+    in_order = sorted((hand, other), key=lambda each: each.name)
+    for state in ("INCLUDE", "EXCLUDE"):
+        linked.collection_objects[0].light_linking.link_state = state
+        is_lit = [light.max() > 0.9 for _, light in baked(scene)]
+        assert is_lit == [(each is hand) == (state == "INCLUDE") for each in in_order]
 
 
 def test_hands_shade_each_other_as_light_linking_says(scene, few_points):

@@ -12,7 +12,9 @@ import pytest
 from mathutils import Matrix, Quaternion, Vector
 from test_limits import material
 
-from blender_addon.render import lamps
+from blender_addon.core.view import Moment, Pinhole, picture_request
+from blender_addon.hand import armature, seen_hands
+from blender_addon.render import lamps, scene_light
 from blender_addon.viewport import handlers
 
 ONE_PERCENT = 0.01
@@ -291,13 +293,35 @@ def test_light_linking_leaves_out_whom_it_leaves_out_in_cycles(card, tmp_path):
     assert lit == [True, True, False, False, True, False, True, False, True, False]
 
 
-def test_a_light_that_picks_some_of_the_hands_says_that_it_lights_all(card):
-    thing = add_light("POINT", **POINT)
-    linked_to(thing, (card, "INCLUDE"))
-    found = read(card, bpy.context.scene.camera)
-    assert len(found.lamps) == 1
-    assert "light linking" in found.warnings[0]
-    assert not read(card).warnings
+def test_a_light_lights_those_hands_that_its_light_linking_picks_by_themselves_or_by_their_stand_ins(extension):
+    for _ in range(3):
+        bpy.ops.jghand.add_hand()
+    hands = [thing for thing in bpy.data.objects if thing.type == "ARMATURE"]
+    stand_in_of = {thing.parent: thing for thing in bpy.data.objects if armature.STAND_IN in thing}
+    collection, empty = bpy.data.collections.new("hand"), bpy.data.objects.new("instance", None)
+    collection.objects.link(hands[2])
+    bpy.context.scene.collection.objects.unlink(hands[2])
+    empty.instance_type, empty.instance_collection = "COLLECTION", collection
+    bpy.context.scene.collection.objects.link(empty)
+    thing, view = add_light("POINT", **POINT), Pinhole(16, 16, 20, 20, 8, 8, np.eye(4))
+    for states, lit in (
+        ([(stand_in_of[hands[0]], "INCLUDE")], [0]),
+        ([(stand_in_of[hands[0]], "EXCLUDE")], [1, 2]),
+        ([(hands[1], "INCLUDE"), (empty, "INCLUDE")], [1, 2]),
+        ([(collection, "INCLUDE")], [2]),
+        ([(stand_in_of[hands[2]], "EXCLUDE"), (hands[0], "EXCLUDE")], [1]),
+        ([], None),
+    ):
+        linked_to(thing, *states)
+        bpy.context.view_layer.update()
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        seen = [hand for each in (*hands[:2], empty) for hand in seen_hands.read([each], depsgraph)[0]]
+        light = scene_light.SceneLight(read(*hands[:2], empty).lamps)
+        header, _ = picture_request([Moment(view, seen)], preset="draft", outputs=["rgba_f32"], light=light)
+        assert header["light"]["lamps"][0].get("hands") == lit, states
+    linked_to(thing, (hands[0], "EXCLUDE"), (hands[1], "EXCLUDE"))
+    assert len(read(empty).lamps) == 1
+    assert not read(*hands[:2]).lamps
 
 
 def test_hands_do_not_shade_themselves_from_lamps_whose_shadows_they_do_not_throw(card):

@@ -193,6 +193,13 @@ def test_a_hand_before_the_lamp_hides_it_from_the_other(posed):
     assert np.isclose(before, alone, rtol=0.05)
 
 
+def test_a_lamp_takes_no_picture_for_a_hand_that_it_does_not_light():
+    for lamp, wanted in ((SUN, [1, 1]), (replace(SUN, hands=(1,)), [0, 1])):
+        renderer = SceneRenderer([AVATAR, AVATAR], FINAL, SceneLight(DIM, (lamp,)))
+        frame = renderer.render([FIST, FIST + 0.6 * TO_SUN], FROM_AFAR)
+        assert [weights_of(frame, hand) for hand in (0, 1)] == [(weight,) for weight in wanted]
+
+
 def weights_of(frame: Frame, hand: int = 0) -> tuple[float, ...]:
     """Per lamp how much of a picture counts."""
     return plan_of(frame).sharp[hand].weights if plan_of(frame).sharp else ()

@@ -425,6 +425,7 @@ WRONG_LIGHTS = {
     "a sun without a direction": (told(SUN, place_m=[0, 0, 0]), None, "lamp.*direction"),
     "a lamp of an unknown kind": (told(SUN, kind="bulb"), None, "lamp 2.*kind"),
     "a lamp in watts": (told(SUN, watts=4), None, "watts"),
+    "a lamp of a hand without a number": (told(SUN, hands=["right"]), None, "lamp 2.*hands.*whole numbers"),
 }  # fmt: skip
 
 
@@ -440,6 +441,23 @@ def test_the_same_light_again_draws_nothing(source, tmp_path):
     source.render(asked([hand], light=lit(SUN)))
     stages = source.render(asked([hand], light=lit(SUN))).report["stages"]
     assert {"skin", "gloss", "raster"}.isdisjoint(stage["name"] for stage in stages if stage["ran"])
+
+
+def test_a_lamp_lights_the_hands_that_it_is_for_alone(source, tmp_path):
+    one = trained_hand(tmp_path)
+    away = replace(one, world_from_hand=np.eye(4))
+    away.world_from_hand[0, 3] = 5.0  # beyond the shadows of the other
+    pair, other = [one, away], SUN | {"rgb": [1, 1, 4]}
+    both = [SUN | {"hands": [0, 1]}, other | {"hands": [1]}]
+    near, far = CAMERA_FROM_WORLD, CAMERA_FROM_WORLD @ np.linalg.inv(away.world_from_hand)
+
+    def drawn(eye: np.ndarray, *lamps: dict) -> np.ndarray:
+        return source.render(asked(pair, seen(pair, eye), light=lit(*lamps))).rgba
+
+    np.testing.assert_array_equal(drawn(near, *both), drawn(near, SUN))
+    np.testing.assert_array_equal(drawn(far, *both), drawn(far, SUN, other))
+    assert drawn(near, both[1])[..., :3].max() == 0
+    assert drawn(far, both[1])[..., :3].max() > 0.01
 
 
 def test_what_a_scene_takes_of_a_lamp_is_dark_on_the_hand_and_known_again(source, tmp_path):
