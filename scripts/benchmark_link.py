@@ -35,13 +35,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from blender_addon.core import pacing
 from blender_addon.core.posing import rest_joints_m
-from blender_addon.core.view import HandInSpace, Moment, Pinhole, picture_request
+from blender_addon.core.view import HandInSpace, Moment, Pinhole, SceneLight, picture_request
 from blender_addon.errors import JGHandFailure
 from blender_addon.renderer.link import EngineLink
 
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("round-trip", "blocks", "memory")
 SIZE = (512, 334)
+# the largest picture of a world that is sent
+SKY = np.full((256, 512, 3), 0.5, np.float32)
 FRAME_S = 1 / 24
 PATIENCE_S = 120.0
 ROUND_TRIP_MS, BLOCK_MS, GROWTH_MB = 1.0, 50.0, 10.0
@@ -83,7 +85,7 @@ def linked(command: tuple[str, ...]) -> Iterator[EngineLink]:
         link.close()
 
 
-def picture(turn: int, outputs: tuple[str, ...] = ("rgba_u8",)):
+def picture(turn: int, outputs: tuple[str, ...] = ("rgba_u8",), light: SceneLight | None = None):
     """The rest hand, moved a little with every turn, as it fills the viewport."""
     width, height = SIZE
     joints = rest_joints_m("right") + np.array([1e-4 * (turn % 50), -0.09, 0.0])
@@ -91,7 +93,7 @@ def picture(turn: int, outputs: tuple[str, ...] = ("rgba_u8",)):
     view[2, 3] = 0.45
     hand = HandInSpace("right", joints, np.eye(4))
     pinhole = Pinhole(width, height, 900, 900, width / 2, height / 2, view)
-    return picture_request([Moment(pinhole, [hand])], preset="viewport", outputs=outputs)
+    return picture_request([Moment(pinhole, [hand])], preset="viewport", outputs=outputs, light=light)
 
 
 class Player:
@@ -131,11 +133,17 @@ class Player:
 
 def round_trip(plan: Plan, figures: Figures) -> None:
     with linked(plan.command) as link:
-        for outputs in (("rgba_u8",), ("rgba_u8", "depth"), ("rgba_f32", "depth")):
+        asked: list[tuple[str, tuple[str, ...], SceneLight | None]] = [
+            ("", ("rgba_u8",), None),
+            ("", ("rgba_u8", "depth"), None),
+            ("", ("rgba_f32", "depth"), None),
+            (", in a sky", ("rgba_f32", "depth"), SceneLight((), {"key": "sky"}, SKY)),
+        ]
+        for lit, outputs, light in asked:
             there_and_back, whole = [], []
             for turn in range(plan.pictures + 10):
-                link.ask("viewport", *picture(turn, outputs), tag=(outputs, turn))
-                answer = link.wait("viewport", (outputs, turn), PATIENCE_S)
+                link.ask("viewport", *picture(turn, outputs, light), tag=(outputs, lit, turn))
+                answer = link.wait("viewport", (outputs, lit, turn), PATIENCE_S)
                 if answer is None or answer.message is None:
                     raise SystemExit(f"no picture came: {answer and answer.failure}")
                 if turn >= 10:
@@ -143,7 +151,7 @@ def round_trip(plan: Plan, figures: Figures) -> None:
                     there_and_back.append(answer.round_trip_ms - answer.message.header["took_ms"])
             median, p95 = statistics.median(there_and_back), np.percentile(there_and_back, 95)
             text = f"{median:6.2f} ms median, {p95:6.2f} p95; with the engine's own {statistics.median(whole):6.2f}"
-            name = f"there and back, {SIZE[0]} x {SIZE[1]}, {' + '.join(outputs)}"
+            name = f"there and back, {SIZE[0]} x {SIZE[1]}, {' + '.join(outputs)}{lit}"
             figures.say(name, text, median <= ROUND_TRIP_MS if outputs == ("rgba_u8",) else None)
 
 

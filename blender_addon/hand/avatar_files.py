@@ -29,8 +29,12 @@ from ..errors import JGHandFailure
 LOOK_S = 1.0
 # bytes of a header: what the renderer takes, too
 _HEADER_MAX_BYTES = 65_536
+# mean albedo of skin, the engine's, linear Rec.709
+MEAN_ALBEDO = (0.50, 0.33, 0.25)
 # letters of a text on a card
 _TEXT_MAX = 300
+# what a hand file has of its skin: the part of its mean albedo that it throws onto itself, which is always this part
+_BOUNCE, _THROWN_BACK = "response.bounce", 0.8
 # of hands that answer any light, by the kind of light that they learned in
 _IN_SCENE_LIGHT = {
     "known": "Lit by lamps and world",
@@ -53,6 +57,7 @@ class Card:
                   answers any too; learnt with its colors, so that its answer is estimated
     has_forearm:  whether its skin goes on behind the wrist
     joints_m:     21 places, standard order, of its right hand at rest; None where they are the canonical hand's
+    albedo:       mean of its skin, linear Rec.709; None where it is not known
     """
 
     name: str
@@ -65,6 +70,7 @@ class Card:
     light: str = "learnt"
     has_forearm: bool = False
     joints_m: tuple[tuple[float, float, float], ...] | None = None
+    albedo: tuple[float, ...] | None = None
 
     @property
     def in_scene_light(self) -> str:
@@ -106,6 +112,7 @@ SHIPPED_CARDS = {
         learned=True,
         light="known",
         has_forearm=True,
+        albedo=(0.655, 0.349, 0.254),
     ),
     "painted": Card(
         name="JGHand painted",
@@ -150,6 +157,13 @@ def card_of(avatar: str) -> Card:
     return found
 
 
+def albedo_of(avatar: str) -> tuple[float, ...]:
+    """Mean albedo of an avatar's skin, linear Rec.709; where it is not known that which hands of unknown light have."""
+    with contextlib.suppress(JGHandFailure):
+        return card_of(avatar).albedo or MEAN_ALBEDO
+    return MEAN_ALBEDO
+
+
 def has_forearm(avatar: str) -> bool:
     """Whether an avatar has one; no for one that cannot be read."""
     try:
@@ -173,8 +187,14 @@ def read_card(path: Path) -> Card:
             ends = [about["data_offsets"][1] for name, about in header.items() if name != "__metadata__"]
             if path.stat().st_size < 8 + length + max(ends, default=0):
                 raise _NoCardError("its end is missing")
+            albedo = None
+            if _BOUNCE in header:
+                file.seek(8 + length + header[_BOUNCE]["data_offsets"][0])
+                albedo = tuple(part / _THROWN_BACK for part in struct.unpack("<3f", file.read(12)))
+                if not all(0 <= part <= 1 for part in albedo):  # false for NaN too
+                    raise _NoCardError("its skin has no color")
         written = time.strftime("%Y-%m-%d", time.localtime(path.stat().st_mtime))
-        return _card(json.loads(header["__metadata__"]["jghand"]), written)
+        return _card(json.loads(header["__metadata__"]["jghand"]), written, albedo)
     except FileNotFoundError as error:
         raise JGHandFailure("no_avatar", str(path)) from error
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError, struct.error) as error:
@@ -184,7 +204,7 @@ def read_card(path: Path) -> Card:
         raise JGHandFailure("bad_avatar", f"{path}\n{reason}") from error
 
 
-def _card(about: Mapping[str, Any], written: str) -> Card:
+def _card(about: Mapping[str, Any], written: str, albedo: tuple[float, ...] | None) -> Card:
     source, learned = about.get("learnt_from") or {}, about.get("learnt") or {}
     return Card(
         name=_text(about["name"]),
@@ -197,6 +217,7 @@ def _card(about: Mapping[str, Any], written: str) -> Card:
         light=_text((learned.get("light") or {}).get("kind", "learnt")),
         has_forearm=str(about.get("template")).endswith("-forearm"),
         joints_m=_joints(about.get("own_joints_m")),
+        albedo=albedo,
     )
 
 

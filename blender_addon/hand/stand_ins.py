@@ -21,6 +21,7 @@ from typing import Any
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
+from mathutils import Color
 
 from .. import clock, ui, versions
 from ..core.bone_maps import BoneMap
@@ -31,14 +32,17 @@ from ..render import ENGINE, composite
 from . import armature, avatar_files, sources
 from .seen_hands import avatar_of
 
-# custom properties: of a stand-in, which hand of its parent's it is; of its mesh, what that was made from; of a scene
-# that is rendered without stand-ins
-MARK, MADE_FROM, WITHOUT = armature.STAND_IN, "jghand_made_from", "jghand_without_stand_ins"
+# custom properties: of a stand-in, which hand of its parent's it is; of its mesh, what that was made from, and its
+# color, which the material reads; of a scene that is rendered without stand-ins
+MARK, MADE_FROM, ALBEDO, WITHOUT = (
+    armature.STAND_IN,
+    "jghand_made_from",
+    "jghand_albedo",
+    "jghand_without_stand_ins",
+)
 MATERIAL = "JGHand Stand-In"
 # counts up when other vertices, weights or keys are made of the same hand, so that saved files get them
-_MAKING = b"2"
-# skin as the scene's light sees it: the mean albedo that a hand of unknown light is given, linear Rec.709
-SKIN_RGBA = (0.50, 0.33, 0.25, 1.0)
+_MAKING = b"3"
 # of a surface that mirrors like skin
 _ROUGHNESS, _SPECULAR = 0.5, 0.25
 # no color in Solid shading; only its color type *Single* shows it
@@ -166,8 +170,9 @@ def _renew(hand: bpy.types.Object, thing: bpy.types.Object | None, shape: _Shape
     if thing is not None and not _is_own(thing):
         return
     try:
-        forearm = hand.jghand.forearm and avatar_files.has_forearm(avatar_of(hand))
-        made_from = _digest(shape, forearm)
+        avatar = avatar_of(hand)
+        forearm, color = hand.jghand.forearm and avatar_files.has_forearm(avatar), skin_rgb(avatar)
+        made_from = _digest(shape, forearm, color)
         before = thing.data if thing is not None else None
         mesh = before if before is not None and _fits(before, hand, made_from) else _mesh(hand, shape, forearm)
     except JGHandFailure:  # joints that no hand has at rest: not to be told now
@@ -176,7 +181,7 @@ def _renew(hand: bpy.types.Object, thing: bpy.types.Object | None, shape: _Shape
     if mine.data != mesh:  # what is written tells Blender of a change, also the same again
         mine.data = mesh
         _drop(before)
-    mesh[MADE_FROM] = made_from
+    mesh[MADE_FROM], mesh[ALBEDO] = made_from, color
     name = f"{hand.name} Shadow"
     if not mine.name.startswith(name):
         mine.name = name
@@ -222,10 +227,15 @@ def _add_driver(thing: bpy.types.Object, hand: bpy.types.Object) -> None:
     target.use_fallback_value, target.fallback_value = True, 0.0
 
 
-def _digest(shape: _Shape, forearm: bool) -> str:
+def skin_rgb(avatar: str) -> tuple[float, ...]:
+    """Skin as the scene's light sees it: the mean albedo of an avatar, in the file's working space."""
+    return tuple(Color(avatar_files.albedo_of(avatar)).from_rec709_linear_to_scene_linear())
+
+
+def _digest(shape: _Shape, forearm: bool, color: tuple[float, ...]) -> str:
     """Of what a stand-in's mesh is made from."""
     side, joints, bones, ways = shape
-    numbers = _MAKING + np.round(joints, 7).tobytes() + (b"" if ways is None else np.round(ways, 7).tobytes())
+    numbers = _MAKING + np.round([*joints, color], 7).tobytes() + (b"" if ways is None else np.round(ways, 7).tobytes())
     return hashlib.sha256(numbers + "\n".join((side, *bones)).encode() + b"forearm" * forearm).hexdigest()
 
 
@@ -289,7 +299,9 @@ def _material() -> bpy.types.Material:
     material.diffuse_color = _INVISIBLE
     tree = versions.ensure_tree(material)
     skin: Any = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
-    skin.inputs["Base Color"].default_value = SKIN_RGBA
+    color: Any = tree.nodes.new("ShaderNodeAttribute")
+    color.attribute_type, color.attribute_name = "OBJECT", ALBEDO
+    tree.links.new(color.outputs["Color"], skin.inputs["Base Color"])
     skin.inputs["Roughness"].default_value, skin.inputs["Specular IOR Level"].default_value = _ROUGHNESS, _SPECULAR
     return material
 

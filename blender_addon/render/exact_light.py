@@ -160,9 +160,8 @@ def _new_stage(
     try:
         own = probe.new_scene(scene, None, made, SAMPLES)
         white = probe.new_material("ShaderNodeBsdfDiffuse", (1.0, 1.0, 1.0, 1.0), made)
-        skin = probe.new_material("ShaderNodeBsdfDiffuse", stand_ins.SKIN_RGBA, made)
         facets, skins = [], []
-        for surface in surfaces:
+        for hand, surface in zip(hands, surfaces, strict=True):
             above = probe.new_facets(np.zeros((LOOKS * FINE_POINTS, 3, 3)), made)
             above.data.materials.append(white)
             for name in _SEEN_BY:
@@ -170,7 +169,8 @@ def _new_stage(
             mesh = bpy.data.meshes.new(probe.NAME)
             made.append((bpy.data.meshes, mesh))
             mesh.from_pydata(surface.vertices, [], surface.faces)
-            mesh.materials.append(skin)
+            color = (*stand_ins.skin_rgb(hand.avatar), 1.0)
+            mesh.materials.append(probe.new_material("ShaderNodeBsdfDiffuse", color, made))
             facets.append(above)
             skins.append(bpy.data.objects.new(probe.NAME, mesh))
             made.append((bpy.data.objects, skins[-1]))

@@ -122,7 +122,8 @@ def _left(hand: HandInSpace, light: SceneLight, depsgraph: bpy.types.Depsgraph) 
         surface = surface_at(hand.joints_world_m @ LIGHT_FROM_WORLD[:3, :3].T, hand.handedness)
     except JGHandFailure:  # the engine says so, and draws it nevertheless
         return np.full((len(light.lamps), POINTS), 255, np.uint8)
-    return scene_shadows.left_of_lamps(*points_on(surface), light.lamps, depsgraph)
+    near = scene_shadows.beside_on_hands()
+    return scene_shadows.left_of_lamps(*points_on(surface), near, light.lamps, depsgraph)
 
 
 def shaded_in_view(

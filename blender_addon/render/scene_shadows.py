@@ -12,9 +12,9 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import bpy
@@ -22,6 +22,7 @@ import numpy as np
 from mathutils.bvhtree import BVHTree
 from mathutils.kdtree import KDTree
 
+from ..core import stand_in
 from ..core.view import BLOCKERS, EVERYTHING, LIGHT_FROM_WORLD, is_picked
 from ..hand import armature
 
@@ -91,13 +92,33 @@ _found: OrderedDict[Hashable, np.ndarray] = OrderedDict()
 edits = 0
 
 
+@cache
+def beside_on_hands() -> np.ndarray:
+    """`beside` of `stand_in.points_on` hands, in any pose: of one at rest."""
+    return beside(stand_in.points_m())
+
+
+def beside(points: np.ndarray) -> np.ndarray:
+    """(N, K) which points are nearest to each of (N, 3), itself among them."""
+    tree = KDTree(len(points))
+    for index, place in enumerate(points.tolist()):
+        tree.insert(place, index)
+    tree.balance()
+    return np.array([[index for _, index, _ in tree.find_n(place, _AROUND)] for place in points.tolist()])
+
+
 def left_of_lamps(
-    points_m: np.ndarray, normals: np.ndarray, lamps: Sequence[Mapping[str, Any]], depsgraph: bpy.types.Depsgraph
+    points_m: np.ndarray,
+    normals: np.ndarray,
+    near: np.ndarray,
+    lamps: Sequence[Mapping[str, Any]],
+    depsgraph: bpy.types.Depsgraph,
 ) -> np.ndarray:
     """(lamps, N) uint8, what the scene leaves of each lamp at each point: 255 all of it. Points that face away count as
     well, without the hand between: a forearm, which has none, reads those of the wrist, on whichever side.
 
     points_m, normals: (N, 3) of the skin, in the axes of the lamps, meters
+    near:              `beside` of them
     lamps:             of `SceneLight`
     """
     left = np.full((len(lamps), len(points_m)), 255, np.uint8)
@@ -108,7 +129,8 @@ def left_of_lamps(
     between = {place: _between(points_m, lamps[place], standing) for place in wanted}
     _read({standing.meshes[row] for rows in between.values() for row in rows}, standing, depsgraph)
     skin = hashlib.blake2b(points_m.tobytes() + normals.tobytes()).digest()
-    around = cache(partial(_around, points_m, normals))  # for all lamps
+    # of points that are turned as each, for all lamps
+    weight = np.maximum((normals[near] * normals[:, None]).sum(-1), 0.0) ** 2
     for place, rows in between.items():
         things = [
             (_shapes[digest], standing.matrices[row])
@@ -118,7 +140,7 @@ def left_of_lamps(
         if things:
             key = (skin, repr(lamps[place]), *((shape.digest, matrix.tobytes()) for shape, matrix in things))
             if key not in _found:
-                _found[key] = _look(points_m, normals, lamps[place], things, around)
+                _found[key] = _look(points_m, normals, lamps[place], things, near, weight)
                 if len(_found) > _FOUND:
                     _found.popitem(last=False)
             _found.move_to_end(key)
@@ -276,21 +298,40 @@ def _look(
     normals: np.ndarray,
     lamp: Mapping[str, Any],
     things: Sequence[_Thing],
-    around: Callable[[], tuple[np.ndarray, np.ndarray]],
+    near: np.ndarray,
+    weight: np.ndarray,
 ) -> np.ndarray:
-    """(N,) uint8, what things leave of a lamp. around: what `_around` finds"""
+    """(N,) uint8, what things leave of a lamp. near, weight: (N, K) which points are around each, and their weights"""
     towards, sine = _towards(points, lamp)
     facing = np.flatnonzero((normals * towards).sum(-1) > np.minimum(_FACING_MIN, -sine))
     starts = points + LIFT_M * normals
     shaded = _shaded(np.arange(len(points)), starts, lamp, things, 1)
     if np.max(sine, initial=0.0) > _SOFT_SINE:
         shaded[facing] = _shaded(facing, starts[facing], lamp, things, _SIDES[0])
-        mean = _mean(shaded, *around()) if 0 < shaded.sum() < len(points) else shaded
+        mean = _mean(shaded, near, weight)
         rows = facing[(mean[facing] > 0) & (mean[facing] < 1)]
         if len(rows):
             shaded[rows] = _shaded(rows, starts[rows], lamp, things, _SIDES[1])
-            shaded = np.where((shaded > 0) & (shaded < 1), _mean(shaded, *around()), shaded)
+            shaded = np.where((shaded > 0) & (shaded < 1), _mean(shaded, near, weight), shaded)
+    shaded = _continued(shaded, starts, things, near, weight)
     return np.rint(255 * (1 - shaded)).astype(np.uint8)
+
+
+def _continued(
+    shaded: np.ndarray, starts: np.ndarray, things: Sequence[_Thing], near: np.ndarray, weight: np.ndarray
+) -> np.ndarray:
+    """(N,) with rays that start in a thing, or behind a plane, as those around that start before it in more light: the
+    engine's skin between has a part of both, and what is seen of it lies before the thing."""
+    is_lighter = shaded[near] < shaded[:, None]
+    rows = np.flatnonzero(is_lighter.any(1))
+    beside = near[rows]
+    own = np.repeat(starts[rows], near.shape[1], 0)
+    leaves = _are_hit(own, starts[beside.ravel()] - own, things, from_behind=True)
+    share = weight[rows] * is_lighter[rows] * leaves.reshape(beside.shape)
+    found = share.sum(1) > 0
+    shaded = shaded.copy()
+    shaded[rows[found]] = _mean(shaded, beside[found], share[found])
+    return shaded
 
 
 def _shaded(
@@ -302,16 +343,6 @@ def _shaded(
         ends = _ends(starts, lamp, _stratum(points, ray, side))
         hits += _are_hit(starts, (ends - starts) * _WAY, things)
     return hits / side**2
-
-
-def _around(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N, K) which points are nearest to each, itself among them, and their weights: of those that are turned as it."""
-    tree = KDTree(len(points))
-    for index, place in enumerate(points.tolist()):
-        tree.insert(place, index)
-    tree.balance()
-    near = np.array([[index for _, index, _ in tree.find_n(place, _AROUND)] for place in points.tolist()])
-    return near, np.maximum((normals[near] * normals[:, None]).sum(-1), 0.0) ** 2
 
 
 def _mean(values: np.ndarray, near: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -364,8 +395,10 @@ def _ends(starts: np.ndarray, lamp: Mapping[str, Any], at: np.ndarray) -> np.nda
     return middle + 2 * radius * (at[:, :1] * first + at[:, 1:] * second)
 
 
-def _are_hit(starts: np.ndarray, ways: np.ndarray, things: Sequence[_Thing]) -> np.ndarray:
-    """(N,) whether a thing is met on the way from each point."""
+def _are_hit(
+    starts: np.ndarray, ways: np.ndarray, things: Sequence[_Thing], *, from_behind: bool = False
+) -> np.ndarray:
+    """(N,) whether a thing is met on the way from each point. from_behind: on its way out of it"""
     hit = np.zeros(len(starts), bool)
     for shape, matrix in things:
         if shape.tree is None or not np.linalg.det(matrix[:3, :3]):
@@ -378,10 +411,14 @@ def _are_hit(starts: np.ndarray, ways: np.ndarray, things: Sequence[_Thing]) -> 
         rows, origins, along = rows[near], origins[near], along[near]
         lengths = np.linalg.norm(along, axis=-1)
         cast = shape.tree.ray_cast
-        hit[rows] = [
-            cast(origin, way, length)[0] is not None
+        normals = [
+            cast(origin, way, length)[1]
             for origin, way, length in zip(origins.tolist(), along.tolist(), lengths.tolist(), strict=True)
         ]
+        hit[rows] = [normal is not None for normal in normals]
+        if from_behind:
+            outwards = np.array([normal or (0, 0, 0) for normal in normals]).reshape(-1, 3)
+            hit[rows] = (outwards * along).sum(-1) > 0
     return hit
 
 

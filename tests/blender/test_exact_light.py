@@ -27,6 +27,7 @@ from blender_addon.core.stand_in import points_on, surface_at
 from blender_addon.core.view import LIGHT_FROM_WORLD, SceneLight
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, stand_ins
+from blender_addon.hand.avatar_files import MEAN_ALBEDO
 from blender_addon.render import camera, exact_light, handover, probe, samples
 
 pytestmark = pytest.mark.usefixtures("linked_extension")
@@ -72,7 +73,7 @@ def lit_pictures(scene: bpy.types.Scene, folder: Path) -> dict[str, np.ndarray]:
     tree = versions.ensure_tree(mesh.data.materials[0])
     tree.nodes.clear()
     matt, output = tree.nodes.new("ShaderNodeBsdfDiffuse"), tree.nodes.new("ShaderNodeOutputMaterial")
-    matt.inputs["Color"].default_value = stand_ins.SKIN_RGBA
+    matt.inputs["Color"].default_value = (*MEAN_ALBEDO, 1.0)
     tree.links.new(matt.outputs[0], output.inputs["Surface"])
     for thing in scene.objects:
         thing.visible_camera = thing == mesh
@@ -109,7 +110,7 @@ def difference(picture: np.ndarray, true: np.ndarray) -> float:
 def plain_hand(engine_python, tmp_path_factory) -> str:
     file = tmp_path_factory.mktemp("avatar") / "plain.jghand"
     writer = Path(__file__).with_name("write_plain_hand.py")
-    subprocess.run([engine_python, "-I", str(writer), str(file), *map(str, stand_ins.SKIN_RGBA[:3])], check=True)
+    subprocess.run([engine_python, "-I", str(writer), str(file), *map(str, MEAN_ALBEDO)], check=True)
     return str(file)
 
 

@@ -93,6 +93,31 @@ def test_lamp_and_world_light_the_hand_together(scene, real_engine, tmp_path):
     np.testing.assert_allclose(both, lamp + world, rtol=0.02, atol=1e-3)
 
 
+def test_a_plane_through_the_wrist_leaves_the_skin_before_it_as_bright(scene, real_engine, tmp_path):
+    camera.set_picture_size(scene.render, 240, 240)
+    scene.view_layers[0].use_pass_z = True
+    eye, at = scene.camera, Vector((0, 0.012, 0))
+    eye.location = (0.2, 0.3, 0.35)
+    eye.rotation_euler = (eye.location - at).to_track_quat("Z", "Y").to_euler()
+    scene.objects["Lamp"].location = (0.4, 0.5, 0.7)
+    bare = layers(scene, tmp_path)
+    bpy.ops.mesh.primitive_plane_add(size=2.0, location=at, rotation=(-np.pi / 2, 0, 0))
+    cut = layers(scene, tmp_path)
+    projection = eye.calc_matrix_camera(bpy.context.evaluated_depsgraph_get(), x=240, y=240)
+    across, depth = (2 * np.arange(240) + 1) / 240 - 1, bare["Depth.Z"]
+    ahead = np.stack([depth * across / projection[0][0], -depth * across[:, None] / projection[1][1], -depth], -1)
+    before_m = (ahead @ np.array(eye.matrix_world)[:3, :3].T)[..., 1] + eye.location.y - at.y
+    red, red_cut = bare["Combined.R"], cut["Combined.R"]
+    for nearest_m, farthest_m, least, most in (
+        (0, 0.004, 0.95, 1.0),
+        (0.004, 0.1, 0.995, 1.0),
+        (-0.1, -0.01, 0.0, 0.05),
+    ):
+        there = (bare["Combined.A"] > 0.99) & (before_m > nearest_m) & (before_m < farthest_m)
+        assert there.sum() > 30
+        assert least <= red_cut[there].sum() / red[there].sum() <= most
+
+
 def test_the_light_of_the_capture_knows_no_lamp(scene, real_engine, tmp_path):
     scene.jghand.light = "CAPTURE"
     before = colors(scene, tmp_path)

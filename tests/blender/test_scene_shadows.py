@@ -48,7 +48,7 @@ def line(count: int = 800, length: float = 0.4) -> tuple[np.ndarray, np.ndarray]
 def left(points: np.ndarray, normals: np.ndarray, *records: dict) -> np.ndarray:
     """0..1."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    return scene_shadows.left_of_lamps(points, normals, records, depsgraph) / 255
+    return scene_shadows.left_of_lamps(points, normals, scene_shadows.beside(points), records, depsgraph) / 255
 
 
 @pytest.mark.parametrize("lamp", [SUN, POINT, AREA], ids=["sun", "point", "area"])
@@ -118,6 +118,42 @@ def test_a_soft_shadow_has_no_blotches(context):
     x = across.ravel() / 0.1
     wanted = 0.5 - (x * np.sqrt(1 - x * x) + np.arcsin(x)) / np.pi
     assert np.sqrt(((seen - wanted) ** 2).mean()) < 0.05
+
+
+def upright_skin() -> tuple[np.ndarray, np.ndarray]:
+    """Points of a wall along z, 3.5 mm apart, and their normals, towards +x."""
+    up, along = np.meshgrid(np.arange(-0.07, 0.07, 0.0035), np.arange(-0.07, 0.07, 0.0035))
+    points = np.stack([np.zeros_like(up), up, along], -1).reshape(-1, 3) + 1e-4
+    return points, np.tile([1.0, 0.0, 0.0], (points.shape[0], 1))
+
+
+SLANTED = {**SUN, "place_m": [1, 1, 0]}
+
+
+@pytest.mark.parametrize("lamp", [SLANTED, {**SLANTED, "angle_rad": 0.05}, {**AREA, "place_m": [1, 1, 0]}])
+def test_skin_that_comes_through_a_thing_is_lit_up_to_it(context, lamp):
+    """The engine's skin is a mean of points around: those that the thing hides are as seen ones beside them."""
+    points, normals = upright_skin()
+    plane = card(0.6, up=0.0)
+    for turned in (False, True):
+        seen = left(points, normals, lamp)[0]
+        assert seen[points[:, 1] > 0].min() == 1
+        # a plane says by its normal from where it is looked at
+        assert (seen[(points[:, 1] < 0) & (points[:, 1] > -0.0036)].min() == 1) == (not turned)
+        assert seen[points[:, 1] < -0.012].max() == 0
+        plane.rotation_euler.x = np.pi
+
+
+def test_what_stands_on_skin_keeps_its_shadow_beside_it(context):
+    """A ring's is as dark at the ring as elsewhere, though skin beyond it is lit."""
+    across, along = np.meshgrid(np.arange(-0.03, 0.03, 0.0035), np.arange(-0.03, 0.03, 0.0035))
+    points = np.stack([across, np.zeros_like(across), along], -1).reshape(-1, 3) + 1e-4
+    bpy.ops.mesh.primitive_cube_add(size=0.008, scale=(0.5, 20, 2))  # 4 mm wide, across the skin, and 8 mm high
+    seen = left(points, np.tile([0.0, 1.0, 0.0], (len(points), 1)), SLANTED)[0]
+    x = points[:, 0]
+    assert seen[(x < -0.0021) & (x > -0.007)].max() == 0
+    assert seen[np.abs(x) < 0.0019].min() > 0
+    assert seen[(x > 0.0021) | (x < -0.0085)].min() == 1
 
 
 def test_instances_units_and_turned_things_throw_shadows_and_stand_ins_none(extension):

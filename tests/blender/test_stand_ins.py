@@ -7,6 +7,7 @@ import bpy
 import hands
 import numpy as np
 import pytest
+from test_render_engine import layers
 
 from blender_addon.core import poses, posing
 from blender_addon.core.stand_in import surface_at
@@ -100,6 +101,26 @@ def test_the_floor_shows_the_shadow_and_the_film_no_hand(floor, tmp_path):
     np.testing.assert_array_equal(with_shadow[..., 3], bare[..., 3])
     assert 0 < bare[..., 3].mean() < 1
     assert dark(with_shadow, bare) > 20
+
+
+def test_its_skin_has_the_color_of_its_avatar_and_a_mesh_in_its_place_too(floor, tmp_path):
+    hand, strong, painted = bpy.data.objects["Right Hand"], add_hand(), add_hand()
+    strong.jghand.avatar, painted.jghand.avatar = "strong", "painted"
+    stand_ins.update()
+    copy = bpy.data.objects.new("mesh", only(strong).data)
+    floor.view_layers[0].use_pass_diffuse_color = True
+    floor.collection.objects.link(copy)
+    for thing, avatar in ((only(hand), "builtin"), (copy, "strong"), (only(painted), "painted")):
+        for each in floor.objects:
+            each.visible_camera = each == thing
+        passes = layers(floor, tmp_path)
+        colors = np.stack([passes[f"Diffuse Color.{channel}"] for channel in "RGB"], -1)
+        found = colors[passes["Combined.A"] == 1]
+        assert len(found) > 10
+        # what skin mirrors takes a part, as much of each color
+        part = found.mean(0) / stand_ins.skin_rgb(seen_hands.named(avatar))
+        assert 0.9 < part.min() <= part.max() < 1
+        assert np.ptp(part) < 1e-3
 
 
 def test_a_hand_that_is_not_rendered_throws_no_shadow_also_where_that_is_animated(floor, tmp_path):

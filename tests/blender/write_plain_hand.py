@@ -13,7 +13,7 @@ import numpy as np
 
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.file import save_avatar
-from jghand_engine.avatar.relighting import relightable
+from jghand_engine.avatar.relighting import relightable, thrown_back
 from jghand_engine.hand.joints import Handedness
 
 
@@ -22,8 +22,9 @@ def main(file: Path, *rgb: str) -> None:
     assert hand.learned is not None
     assert hand.learned.response is not None
     none = np.zeros(len(hand), np.float32)
-    response = replace(hand.learned.response, reflectance=none, shade_gain=0.0)
     colors = np.broadcast_to(np.array(rgb, np.float32), hand.rgb.shape)
+    thrown = thrown_back(hand, colors)
+    response = replace(hand.learned.response, reflectance=none, shade_gain=0.0, bounce=thrown)
     save_avatar(file, replace(hand, rgb=colors, learned=replace(hand.learned, response=response)))
 
 
