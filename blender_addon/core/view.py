@@ -236,8 +236,9 @@ def picture_request(
     arrays = {name: protocol.Array.of(np.array(values, "<f8")) for name, values in numbers.items()}
     if light is not None:
         header["light"] = light.record_on(first.hands)
-        if light.picture is not None:
-            arrays["world"] = protocol.Array.of(np.ascontiguousarray(light.picture, "<f4"))
+        if light.world is not None and light.picture is not None:
+            header["kept"] = light.world["key"]
+            arrays[protocol.KEPT] = protocol.Array.of(np.ascontiguousarray(light.picture, "<f4"))
         if light.left is not None:
             arrays["left"], arrays["left_at"] = map(protocol.Array.of, (light.left, points_m()))
         if light.baked is not None:

@@ -385,7 +385,11 @@ class EngineLink:
                 pieces += protocol.encode({"kind": "cancel", "id": self._waiting.cancels.popleft()})
             if isinstance(self._state, machine.Ready) and engine is not None:
                 call = self._waiting.next(time.monotonic())
-                pieces += call.pieces if call is not None else []
+                if call is not None:
+                    if call.kept not in ("", engine.kept):
+                        engine.kept = call.kept
+                        pieces += call.keeping
+                    pieces += call.pieces
         if engine is not None:
             engine.send(pieces)
 

@@ -214,6 +214,8 @@ class EngineProcess(Child):
         self._receiver: protocol.Receiver | None = None
         # what the socket has not taken yet
         self.outgoing: deque[memoryview] = deque()
+        # the key of what it keeps
+        self.kept = ""
         self._log, self._wake = log, wake
         super().__init__(command, self._hear, wake)
         assert self.popen.stdin is not None  # it was asked for as a pipe

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import OrderedDict, deque
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ..core import protocol
@@ -44,6 +44,9 @@ def failure_told(error: Any) -> JGHandFailure:
 class Call:
     id: int
     pieces: list[bytes | memoryview]
+    # what the engine keeps of it, "" for nothing, and what tells it that
+    kept: str = ""
+    keeping: list[bytes | memoryview] = field(default_factory=list)
     # None for an exact one
     slot: str | None = None
     tag: Hashable = None
@@ -215,7 +218,13 @@ class Waiting:
     ) -> Call:
         identity, self._next_id = self._next_id, self._next_id + 1
         try:
-            return Call(identity, protocol.encode({**header, "id": identity}, arrays), slot, tag, droppable)
+            sent, kept, keeping = dict(arrays or {}), header.get("kept", ""), []
+            if kept:
+                keeping = protocol.encode(
+                    {"kind": protocol.KEEP, "key": kept}, {protocol.KEPT: sent.pop(protocol.KEPT)}
+                )
+            pieces = protocol.encode({**header, "id": identity}, sent)
+            return Call(identity, pieces, kept, keeping, slot, tag, droppable)
         except protocol.ProtocolError as error:
             raise JGHandFailure("bad_input", str(error)) from error
 

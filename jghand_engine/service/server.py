@@ -24,6 +24,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import IO, Any, NoReturn
 
 from jghand_engine import __version__
@@ -204,10 +205,14 @@ class Server:
     def _read(self, connection: socket.socket, requests: Requests, sending: threading.Lock) -> None:
         """Takes in a client's messages until it leaves or breaks the protocol."""
         try:
+            kept = Message({})
             while True:
                 message = protocol.receive(connection)
-                if message.header.get("kind") != CANCEL:
-                    requests.put(message)
+                if message.header.get("kind") == protocol.KEEP:
+                    kept = message
+                elif message.header.get("kind") != CANCEL:
+                    knows = "kept" in message.header and message.header["kept"] == kept.header.get("key")
+                    requests.put(replace(message, arrays=kept.arrays | message.arrays) if knows else message)
                 elif requests.cancel(message.header.get("id")):
                     with sending:
                         protocol.send(connection, _failed(message, error_header(Canceled())))

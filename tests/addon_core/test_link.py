@@ -20,6 +20,7 @@ from stand_ins import PATIENCE_S, command, linked, picture
 from waiting import wait_until
 
 from blender_addon.core import protocol
+from blender_addon.core.view import SceneLight
 from blender_addon.errors import JGHandFailure
 from blender_addon.renderer import state as renderer_state
 from blender_addon.renderer.link import Answer, EngineLink
@@ -445,6 +446,29 @@ def test_of_all_that_was_asked_meanwhile_only_the_newest_is_sent():
             protocol.send(engine.connection, {"kind": "reply", "id": tag, "ok": True})
             assert answered(engine.link, tag).failure is None
         wait_until(lambda: not engine.link.status.busy, "rest")
+
+
+def test_a_world_is_sent_before_the_first_request_in_it_and_again_after_another_one():
+    sent = []
+    with AnyEngine() as engine:
+        protocol.send(engine.connection, {"kind": "welcome"})
+        assert protocol.receive_greeting(engine.connection, engine.link._engine.token, deadline=time.monotonic() + 9)
+        for number, key in enumerate(["sky", "sky", "", "sky", "noon", "sky"], 1):
+            sky = np.full((2, 4, 3), len(key), np.float32)
+            engine.link.ask("viewport", *picture(light=SceneLight((), {"key": key}, sky) if key else None), tag=number)
+            while True:
+                came = protocol.receive(engine.connection)
+                sent.append((came.header.get("key"), came.header.get("kept")))
+                if came.header["kind"] == protocol.KEEP:
+                    np.testing.assert_array_equal(np.asarray(came.arrays["world"].view()), sky)
+                    continue
+                assert "world" not in came.arrays
+                assert came.header["id"] == number
+                break
+            protocol.send(engine.connection, {"kind": "reply", "id": number, "ok": True})
+            answered(engine.link, number)
+    sky, noon = [("sky", None), (None, "sky")], [("noon", None), (None, "noon")]
+    assert sent == [*sky, sky[1], (None, None), sky[1], *noon, *sky]
 
 
 def test_a_reply_that_comes_in_pieces_is_one_reply():

@@ -218,6 +218,25 @@ def test_the_heart_beats_during_a_long_request():
     assert ended(engine) == 0
 
 
+def test_a_world_is_kept_for_the_requests_that_know_it_by_its_key(engine):
+    sky = {"world": Array.of(np.ones((2, 4, 3), np.float32))}
+
+    def asked(connection: socket.socket, key: str, arrays: dict | None = None) -> dict:
+        lit = {"light": {"lamps": [], "world": {"key": key}}, "kept": key}
+        return answer(connection, PICTURE | lit, picture_arrays() | (arrays or {})).header
+
+    with engine.connected() as connection:
+        receive(connection)
+        assert "array world" in asked(connection, "sky")["error"]["sentence"]
+        protocol.send(connection, {"kind": protocol.KEEP, "key": "sky"}, sky)
+        assert asked(connection, "sky")["ok"]
+        assert asked(connection, "sky")["ok"]
+        assert "array world" in asked(connection, "noon")["error"]["sentence"]
+        assert asked(connection, "noon", sky)["ok"]
+        protocol.send(connection, {"kind": protocol.KEEP, "key": "noon"}, sky)
+        assert not asked(connection, "sky")["ok"]
+
+
 ATTACKS = {
     "a wrong token": protocol.greeting(bytes(32)),
     "an HTTP request": b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n" + bytes(32),
