@@ -131,6 +131,20 @@ def step_in_material_preview_it_stands_in_the_scenes_light_and_throws_its_shadow
     assert (darker > STEP).sum() > 2000
 
 
+def step_rendered_by_eevee_a_view_has_its_shadow_and_not_the_hand(window):
+    hand = next(thing for thing in bpy.context.scene.objects if "jghand_handedness" in thing)
+    yield from window.shading("RENDERED")
+    yield 3.0
+    without = window.crop(window.picture("eevee_without_shadow").astype(int))
+    hand.jghand.cast_shadow = True
+    window.redraw()
+    yield 4.0
+    shown = window.crop(window.picture("eevee_rendered").astype(int))
+    assert (without.mean(-1) - shown.mean(-1) > STEP).sum() > 2000
+    red, _, blue = np.moveaxis(shown, -1, 0)
+    assert (red > 1.25 * blue).sum() < 500
+
+
 def step_under_agx_a_mesh_hand_beside_it_has_the_same_light_and_shadow(window):
     scene = bpy.context.scene
     assert scene.view_settings.view_transform == "AgX"
@@ -161,7 +175,8 @@ def step_under_agx_a_mesh_hand_beside_it_has_the_same_light_and_shadow(window):
     shown = (255 * np.reshape(image.pixels[:], (320, 480, -1))[::-1, :, :3]).astype(np.uint8)
     of_hand, of_mesh = (half[skin(half)] for half in np.array_split(shown, 2, axis=1))
     assert 0.8 < len(of_hand) / len(of_mesh) < 1.25
-    assert np.abs(of_hand.mean(0) - of_mesh.mean(0)).max() < 3 * STEP
+    assert np.abs(of_hand.mean(0) - of_mesh.mean(0)).max() < 2 * STEP
+    assert abs(np.ptp(of_hand.mean(0)) - np.ptp(of_mesh.mean(0))) < STEP / 2  # one color, and as red
     of_hand, of_mesh, clear = (shown[205:245, left : left + 40].mean() for left in (222, 222 + 160, 20))
     assert max(of_hand, of_mesh) < clear - 2 * STEP
     assert abs(of_hand - of_mesh) < STEP
