@@ -70,7 +70,7 @@ class Card:
     light: str = "learnt"
     has_forearm: bool = False
     joints_m: tuple[tuple[float, float, float], ...] | None = None
-    albedo: tuple[float, ...] | None = None
+    albedo: tuple[float, float, float] | None = None
 
     @property
     def in_scene_light(self) -> str:
@@ -157,7 +157,7 @@ def card_of(avatar: str) -> Card:
     return found
 
 
-def albedo_of(avatar: str) -> tuple[float, ...]:
+def albedo_of(avatar: str) -> tuple[float, float, float]:
     """Mean albedo of an avatar's skin, linear Rec.709; where it is not known that which hands of unknown light have."""
     with contextlib.suppress(JGHandFailure):
         return card_of(avatar).albedo or MEAN_ALBEDO
@@ -190,7 +190,8 @@ def read_card(path: Path) -> Card:
             albedo = None
             if _BOUNCE in header:
                 file.seek(8 + length + header[_BOUNCE]["data_offsets"][0])
-                albedo = tuple(part / _THROWN_BACK for part in struct.unpack("<3f", file.read(12)))
+                red, green, blue = (part / _THROWN_BACK for part in struct.unpack("<3f", file.read(12)))
+                albedo = red, green, blue
                 if not all(0 <= part <= 1 for part in albedo):  # false for NaN too
                     raise _NoCardError("its skin has no color")
         written = time.strftime("%Y-%m-%d", time.localtime(path.stat().st_mtime))
@@ -204,7 +205,7 @@ def read_card(path: Path) -> Card:
         raise JGHandFailure("bad_avatar", f"{path}\n{reason}") from error
 
 
-def _card(about: Mapping[str, Any], written: str, albedo: tuple[float, ...] | None) -> Card:
+def _card(about: Mapping[str, Any], written: str, albedo: tuple[float, float, float] | None) -> Card:
     source, learned = about.get("learnt_from") or {}, about.get("learnt") or {}
     return Card(
         name=_text(about["name"]),

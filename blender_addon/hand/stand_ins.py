@@ -227,12 +227,13 @@ def _add_driver(thing: bpy.types.Object, hand: bpy.types.Object) -> None:
     target.use_fallback_value, target.fallback_value = True, 0.0
 
 
-def skin_rgb(avatar: str) -> tuple[float, ...]:
+def skin_rgb(avatar: str) -> tuple[float, float, float]:
     """Skin as the scene's light sees it: the mean albedo of an avatar, in the file's working space."""
-    return tuple(Color(avatar_files.albedo_of(avatar)).from_rec709_linear_to_scene_linear())
+    red, green, blue = Color(avatar_files.albedo_of(avatar)).from_rec709_linear_to_scene_linear()
+    return red, green, blue
 
 
-def _digest(shape: _Shape, forearm: bool, color: tuple[float, ...]) -> str:
+def _digest(shape: _Shape, forearm: bool, color: tuple[float, float, float]) -> str:
     """Of what a stand-in's mesh is made from."""
     side, joints, bones, ways = shape
     numbers = _MAKING + np.round([*joints, color], 7).tobytes() + (b"" if ways is None else np.round(ways, 7).tobytes())
