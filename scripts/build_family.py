@@ -27,25 +27,30 @@ import numpy as np
 import other_person
 import registration
 import tyro
-from other_person import Somebody, as_person, person_detail, somebody
+from other_person import Somebody, as_person, somebody
 from PIL import Image
-from registration import registered
+from registration import with_maps
+from show_light import sky
 
 from jghand_engine.avatar import BUILTIN
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import avatar_sha256, load_avatar_called
 from jghand_engine.avatar.file import load_avatar, save_avatar
 from jghand_engine.avatar.forearm import ended
+from jghand_engine.avatar.light_records import light_of
+from jghand_engine.avatar.scene_light import Lamp
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.validation import as_text
 from jghand_engine.captures.making.person_skin import MAP_PX
 from jghand_engine.captures.making.rig import load_identity
 from jghand_engine.captures.skin.maps import FINE_LAYERS, SkinMaps, paint_skin
 from jghand_engine.captures.skin.person import Person
+from jghand_engine.captures.skin.noise import smoothstep
 from jghand_engine.export.pictures import flatten
 from jghand_engine.files import writing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
+from jghand_engine.native.scene_light_task import LampKind
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import Frame, HandRenderer
 from jghand_engine.render.settings import preset
@@ -70,8 +75,14 @@ FILE_MAX_BYTES = 8_000_000
 PACK = "jghand-hands.zip"
 # pictures: of a hand to choose it by, and of all side by side at one scale; what their height shows, meters
 THUMB_PX, THUMB_FIELD_M = 256, 0.26
-CELL_PX, CELL_FIELD_M = (190, 300), 0.30
-DISTANCE_M, BACKGROUND = 0.8, (0.36, 0.36, 0.36)
+CELL_PX, CELL_FIELD_M = (270, 370), 0.28
+DISTANCE_M, BACKGROUND = 0.8, (0.80, 0.79, 0.78)
+# of a cell's height, from its lower edge, the part over which an arm fades: none is cut off
+ARM_FADES = 0.17
+# the light of pictures, the same on both sides: a wide lamp on the camera's left and above it, from where its light
+# falls across the relief, W/(m2 sr), and a dim sky
+KEY_RGB, KEY_SIDE_M, KEY_TOWARDS, KEY_AWAY_M = np.array([22.0, 21.0, 19.3]), 0.22, np.array([-0.62, 0.52, 0.59]), 0.5
+SKY = 0.75
 
 
 @dataclass(frozen=True)
@@ -104,10 +115,7 @@ def main(options: Options) -> None:
 
         def made(name: str = name) -> HandAvatar:
             other = load(*FAMILY[name])
-            avatar = as_person(trained, own, other)
-            if avatar.detail is not None:
-                avatar = registered(replace(avatar, detail=person_detail(avatar.detail, other)), other)
-            return _told(avatar, f"JGHand {name}")
+            return _told(with_maps(as_person(trained, own, other), other), f"JGHand {name}")
 
         identity, person = FAMILY[name]
         stamp = json.dumps([digest, code_sha256(), options.texels, identity, dataclasses.asdict(person)])
@@ -188,10 +196,12 @@ def thumbnail(avatar: HandAvatar) -> Image.Image:
 
 def picture(files: list[Path]) -> Image.Image:
     """Backs above palms, all at one scale."""
+    width, height = CELL_PX
+    shown = smoothstep(0, ARM_FADES, 1 - (np.arange(height) + 0.5) / height)[:, None, None]
     rows = []
     for side in (-1, 1):
         frames = [_frame(load_avatar(file), side, CELL_PX, CELL_FIELD_M) for file in files]
-        rows.append(np.concatenate([flatten(frame.displayed(), BACKGROUND) for frame in frames], 1))
+        rows.append(np.concatenate([flatten(shown * frame.displayed(), BACKGROUND) for frame in frames], 1))
     return Image.fromarray(np.concatenate(rows))
 
 
@@ -201,10 +211,15 @@ def _frame(avatar: HandAvatar, side: int, size: tuple[int, int], field_m: float)
     joints_m = named_pose("open", shown.rest_joints_m, handedness=Handedness.RIGHT)
     # wrist and the tip of the middle finger, level order
     middle = joints_m[[0, 18]].mean(0) - [0, 0.01, 0]
-    eye = middle + DISTANCE_M * np.array([0.14 * side, 0.10, 0.98 * side])
+    seen_from = np.array([side, 1, side])
+    eye = middle + DISTANCE_M * seen_from * [0.14, 0.10, 0.98]
     focal_px = size[1] * DISTANCE_M / field_m
     camera = Camera.looking_at(eye, middle, (0, 1, 0), width=size[0], height=size[1], focal_px=focal_px)
-    return HandRenderer(shown, preset("final")).render(joints_m, camera)
+    towards = seen_from * KEY_TOWARDS
+    key = Lamp(
+        LampKind.AREA, tuple(KEY_RGB), tuple(middle + KEY_AWAY_M * towards), tuple(-towards), size_m=2 * (KEY_SIDE_M,)
+    )
+    return HandRenderer(shown, preset("final"), light_of((key,), sky(SKY))).render(joints_m, camera)
 
 
 def pack(files: list[Path], path: Path) -> None:

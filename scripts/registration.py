@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from other_person import Somebody
+from other_person import Somebody, person_detail
 from scipy import sparse
 from scipy.sparse.linalg import factorized
 
@@ -36,6 +36,14 @@ RIDGE = 3e-5
 # vertices at once: bounds the memory to 100 MB
 AT_ONCE = 512
 STEPS = 127
+
+
+def with_maps(avatar: HandAvatar, person: Somebody) -> HandAvatar:
+    """The avatar with the detail of its person's maps on that person's skin; one without detail as it is."""
+    if avatar.detail is None:
+        return avatar
+    avatar = registered(avatar, person)
+    return replace(avatar, detail=person_detail(avatar, person))
 
 
 def registered(avatar: HandAvatar, one: Somebody) -> HandAvatar:

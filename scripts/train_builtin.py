@@ -17,10 +17,9 @@ from pathlib import Path
 import tyro
 from build_family import TRAINED, kept_maps
 from on_skin import on_skin
-from other_person import Somebody, person_detail, somebody
-from registration import registered
+from other_person import somebody
+from registration import with_maps
 
-from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import load_avatar, save_avatar
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.captures.making.person_skin import MAP_PX
@@ -56,13 +55,6 @@ def main(options: Options) -> None:
     avatar = replace(avatar, info=replace(avatar.info, name="JGHand built-in", license=LICENSE))
     save_avatar(options.out, avatar, storage=Storage.COMPACT)
     print(f"{options.out}: {len(avatar)} Gaussians, {options.out.stat().st_size / 1e6:.2f} MB")
-
-
-def with_maps(avatar: HandAvatar, person: Somebody) -> HandAvatar:
-    """The avatar with the detail of its person's maps on that person's skin."""
-    if avatar.detail is None:
-        return avatar
-    return registered(replace(avatar, detail=person_detail(avatar.detail, person)), person)
 
 
 def run(*words: object) -> None:

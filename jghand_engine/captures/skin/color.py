@@ -7,16 +7,25 @@ import numpy as np
 from jghand_engine.captures.skin.canvas import Canvas
 from jghand_engine.captures.skin.flesh import HYPOTHENAR, MOUNT, THENAR, mounts
 from jghand_engine.captures.skin.noise import gauss, noise, smoothstep
-from jghand_engine.captures.skin.person import reflectance
+from jghand_engine.captures.skin.person import Person, reflectance
 
-# how much less melanin the palm has: of pale and of dark skin, which begins at that melanin
-PALM_PALER, DARK_PALM_PALER, DARK = 0.60, 0.80, 0.25
+# tones between which skin becomes dark: from the usual person's
+DARK = (Person.melanin, 0.9)
+# how much less melanin the palm has, of pale and of dark skin
+PALM_PALER, DARK_PALM_PALER = 0.60, 0.68
+# where the palm's color begins and is whole, on the way from back to palm: blood and carotene, and melanin of dark
+# skin, which thins out over the whole flank and ends a centimeter or two behind the wrist's crease
+PALM_EDGE, DARK_PALM_EDGE, DARK_PALM_ENDS_MM = (-0.25, 0.40), (-0.60, 0.65), (-26.0, 4.0)
 # melanin that knuckles, creases of dark palms and the network have more, as a part of the tone
 ON_KNUCKLES, IN_CREASES, IN_NETWORK = 0.30, 0.30, 0.22
-# tone from which creases get no darker: beyond it they look inked
-CREASES_DARKEST = 0.9
-# freckles and spots of age: edge of a cell, mm, least radius, how much larger, and the part of cells that have one
-FRECKLES, SPOTS = (3.4, 0.25, 0.75, 0.8), (8.0, 0.8, 2.2, 1.3)
+# tones from which marks, and creases, get no more melanin: light falls exponentially with it, so that in proportion to
+# the tone marks of dark skin would be blotches, and creases inked
+MARKS_DARKEST, CREASES_DARKEST = 0.30, 0.9
+# freckles and spots of age: edge of a cell, mm, least radius, how much larger, the part of cells that have one, and
+# that of the radius at which they begin to fade
+FRECKLES, SPOTS = (3.4, 0.25, 0.75, 0.8, 0.50), (8.0, 0.6, 2.9, 1.3, 0.0)
+# how far on a knuckle, whose wrinkles would make a blot of it, a spot begins to fade, and is gone
+NO_SPOTS = (0.05, 0.40)
 # age from which there are spots
 SPOTS_FROM_AGE = 0.45
 # blood as a part of the person's: everywhere, more on the palm, and at each mark
@@ -31,6 +40,8 @@ DARK_FURROWS = {"crease": 0.17, "wrinkle": 0.15, "network": 0.10, "crack": 0.12}
 FURROWS_RGB = np.array([0.75, 1.0, 1.0])
 # what dry ridges send back more
 DRY, DRY_RGB = 0.035, np.array([1.0, 0.96, 0.90])
+# melanin of a nail's bed, of pale and of dark skin, as a part of the tone
+BED_MELANIN, DARK_BED_MELANIN = 0.30, 0.42
 MOON_RGB, FREE_EDGE_RGB = np.array([0.74, 0.60, 0.54]), np.array([0.78, 0.73, 0.64])
 # behind the wrist, where the palm's color ends: over centimeters, or dark skin has a cuff
 PALE_FROM_TO_MM, PALE_UNEVEN_MM = (8.0, -62.0), 1.5
@@ -44,8 +55,9 @@ def paint_color(canvas: Canvas) -> np.ndarray:
     person, of = canvas.person, canvas.amounts
     uneven_mm = PALE_UNEVEN_MM * canvas.fractal_noise("pale", 12.0)
     # broader than the palm of the relief: colors change slowly at the edge of the hand and behind the wrist
-    palm = smoothstep(-0.25, 0.40, canvas.side_until(*PALE_FROM_TO_MM, uneven_mm))
-    rgb = reflectance(_melanin(canvas, palm), _blood(canvas, palm), _carotene(canvas, palm)).astype(np.float32)
+    palm = smoothstep(*PALM_EDGE, canvas.side_until(*PALE_FROM_TO_MM, uneven_mm))
+    melanin = _melanin(canvas, palm, canvas.texels.point[:, 1] / canvas.size + uneven_mm)
+    rgb = reflectance(melanin, _blood(canvas, palm), _carotene(canvas, palm)).astype(np.float32)
     bluish = (VEIN + VEIN_OF_PALE * (1 - min(1.0, 2 * person.melanin))) * of["vein"]
     rgb *= 1 - bluish[:, None] * VEIN_TAKES
     dry = 0.6 * of["ridge"] * canvas.skin + 0.5 * palm * np.clip(canvas.fractal_noise("mottle", 5.0), 0, 1)
@@ -65,27 +77,33 @@ def paint_roughness(canvas: Canvas) -> np.ndarray:
     return rough.clip(*ROUGHNESS_LIMITS)
 
 
-def _melanin(canvas: Canvas, palm: np.ndarray) -> np.ndarray:
+def _melanin(canvas: Canvas, palm: np.ndarray, along_mm: np.ndarray) -> np.ndarray:
     tone, of = canvas.person.melanin, canvas.amounts
+    marks, dark = min(tone, MARKS_DARKEST), smoothstep(*DARK, tone)
+    pale = smoothstep(*DARK_PALM_EDGE, canvas.hand_side) * smoothstep(*DARK_PALM_ENDS_MM, along_mm)
+    palm = palm + dark * (pale - palm)
+    share = 1 - palm * (PALM_PALER + dark * (DARK_PALM_PALER - PALM_PALER))
     uneven = 1 + 0.10 * canvas.fractal_noise("melanin", 14.0)
     uneven += 0.05 * canvas.noise("speckle", 1.7) + 0.05 * canvas.noise("fine speckle", 0.55)
-    total = tone * uneven * (1 - palm * (DARK_PALM_PALER if tone > DARK else PALM_PALER))
-    total *= 1 + ON_KNUCKLES * of["knuckle"] * (1 - palm) * smoothstep(0, 0.35, tone + 0.05)
+    uneven *= 1 + ON_KNUCKLES * of["knuckle"] * (1 - palm) * smoothstep(0, 0.35, tone + 0.05)
+    total = share * (tone + marks * (uneven - 1))
     total += min(tone, CREASES_DARKEST) * palm * IN_CREASES * of["crease"] * smoothstep(0.25, 0.6, tone)
-    total += tone * IN_NETWORK * of["network"] * (1 - palm) + 0.05 * of["wrinkle"] + 0.04 * of["pore"]
+    total += marks * IN_NETWORK * of["network"] * (1 - palm) + 0.05 * of["wrinkle"] + 0.04 * of["pore"]
     freckles = _spots(canvas, "freckles", FRECKLES, canvas.person.freckles)
     spots = _spots(canvas, "spots", SPOTS, max(0.0, canvas.person.age - SPOTS_FROM_AGE))
+    spots *= 1 - smoothstep(*NO_SPOTS, of["knuckle"])
     total += canvas.back * canvas.skin * (0.09 + 0.10 * tone) * (freckles + 1.5 * spots)
     return total.clip(0, 2)
 
 
-def _spots(canvas: Canvas, name: str, kind: tuple[float, float, float, float], part: float) -> np.ndarray:
+def _spots(canvas: Canvas, name: str, kind: tuple[float, float, float, float, float], part: float) -> np.ndarray:
     """(N,) about 0..1.3, large ones stronger."""
-    cell, least, more, most = kind
+    cell, least, more, most, core = kind
     points = canvas.shifted(name, cell / 4, cell / 12)
     _, distance, number = canvas.cells(name, cell, points)
     radius = least + more * number
-    return smoothstep(0.95, 0.50, distance / radius) * (np.modf(91.7 * number)[0] < most * part) * (0.5 + 0.8 * number)
+    there = np.modf(91.7 * number)[0] < most * part
+    return smoothstep(0.95, core, distance / radius) * there * (0.5 + 0.8 * number)
 
 
 def _blood(canvas: Canvas, palm: np.ndarray) -> np.ndarray:
@@ -112,7 +130,8 @@ def _carotene(canvas: Canvas, palm: np.ndarray) -> np.ndarray:
 def _nails(canvas: Canvas) -> np.ndarray:
     """(N, 3): the bed seen through the plate, a redder band at its end, moon and free edge."""
     person, of, (x, y) = canvas.person, canvas.amounts, canvas.nail_xy.T
-    bed = reflectance(*np.array([0.30 * person.melanin, 0.30 + 0.55 * person.blood, 0.25 * person.warmth]))
+    melanin = person.melanin * (BED_MELANIN + smoothstep(*DARK, person.melanin) * (DARK_BED_MELANIN - BED_MELANIN))
+    bed = reflectance(*np.array([melanin, 0.30 + 0.55 * person.blood, 0.25 * person.warmth]))
     flat = np.stack([6 * y, 0.7 * x, np.zeros_like(x)], 1)
     streaks = 1 + 0.04 * noise(flat, 0.8, canvas.seed("nail streaks"))
     rgb = bed * (streaks * (1 + 0.06 * smoothstep(0.2, 0.95, x)))[:, None]
