@@ -41,12 +41,18 @@ from jghand_engine.template.texture import rasterize_uv, sample_bilinear
 
 # the template's faces are split twice for the change of shape: 1.3 mm, as fine as Gaussians lie
 LEVELS = 2
-# spread of a Gaussian's footprint, mm: the median radius in a hand of 40,000
-FOOTPRINT_MM = 0.6
+# spread of a Gaussian's footprint, mm: the median radius in a hand of 40,000; of its color less, or the edges of nails
+# would be blurred twice
+FOOTPRINT_MM, COLOR_FOOTPRINT_MM = 0.6, 0.25
 # detail is what is finer than this, mm, in the maps and not in the Gaussians, which show little of less
 DETAIL_MM = 1.5
+# normals are means over this spread, mm, of so many Gaussians at most whose normals have this cosine at least: a finger
+# next to another is not asked
+NORMALS_MM, NORMALS_MEAN, NORMALS_ALIKE = 1.5, 24, 0.3
 # Gaussians that are looked at for a texel: those beyond change nothing that is seen; texels at once, for 200 MB
 SHOWN, TEXELS_AT_ONCE = 16, 100_000
+# where none of them reaches, which no picture shows, it is the mean of all
+LEAST_ALPHA = 1e-9
 # of the relief what light does not show: it goes below the skin and comes out beside, where reliefs of a texel are
 # smoother, and a little less deep. Chosen by eye beside pictures of Cycles, at the truth's power of detail
 RELIEF_BLUR_MM, RELIEF_GAIN = 0.17, 0.9
@@ -97,11 +103,11 @@ def as_person(avatar: HandAvatar, own: Somebody, other: Somebody) -> HandAvatar:
     if learned is None or learned.response is None:
         raise InputError(f"avatar {avatar.info.name}", wanted="one that learned in known light", came="another")
     uv = avatar.uvd[:, :2].astype(np.float64)
-    before, after = (sample_bilinear(one.blurred(one.maps.rgb), uv) for one in (own, other))
+    before, after = (sample_bilinear(one.blurred(one.maps.rgb, COLOR_FOOTPRINT_MM), uv) for one in (own, other))
     rgb = (avatar.rgb * (after / before)).clip(*RGB_LIMITS).astype(np.float32)
     rgb = np.where(after == before, avatar.rgb, rgb)
     response = replace(_response(learned.response, own, other, uv), bounce=thrown_back(avatar, rgb))
-    learned = replace(learned, response=response)
+    learned = replace(learned, response=response, normal=_smooth_normals(avatar, learned.normal))
     shaped = other_shape(replace(avatar, rgb=rgb, learned=learned), own, other)
     return replace(shaped, own_joints_m=other.identity.joints_m)
 
@@ -128,6 +134,15 @@ def _skin_m(one: Somebody) -> np.ndarray:
     """(V, 3) the fine surface of an open hand."""
     surface = SkinSurface(one.identity, LEVELS, one.maps)
     return surface.posed(one.identity.vertices_m, surface.bent(one.identity.joints_m[None])[0])
+
+
+def _smooth_normals(avatar: HandAvatar, normal: np.ndarray) -> np.ndarray:
+    """(N, 3) of each Gaussian the mean of those around it that look the same way: from one to the next they differ by
+    degrees, which is gray blotches in the gloss of dark skin."""
+    apart_m, near = map(np.asarray, KDTree(avatar.position_m).query(avatar.position_m, NORMALS_MEAN))
+    weight = np.exp(-0.5 * (apart_m / NORMALS_MM / MM) ** 2) * avatar.opacity[near]
+    weight *= np.einsum("gc,gkc->gk", normal, normal[near]) > NORMALS_ALIKE
+    return unit(np.einsum("gk,gkc->gc", weight, normal[near])).astype(np.float32)
 
 
 def _response(response: SkinResponse, own: Somebody, other: Somebody, uv: np.ndarray) -> SkinResponse:
@@ -184,7 +199,7 @@ def shown_albedo(avatar: HandAvatar, detail: Detail, one: Somebody) -> np.ndarra
         order = np.argsort(-rise_m, 1)
         apart_m, nearest, rise_m = (np.take_along_axis(each, order, 1) for each in (apart_m, nearest, rise_m))
         across = (apart_m**2 - rise_m**2) / avatar.sigma_m[nearest] ** 2
-        alpha = avatar.opacity[nearest] * np.exp(-across / 2)
+        alpha = np.maximum(avatar.opacity[nearest] * np.exp(-across / 2), LEAST_ALPHA)
         left = np.cumprod(1 - alpha, 1)
         weight = alpha * np.concatenate([np.ones_like(left[:, :1]), left[:, :-1]], 1)
         shown[rows] = np.einsum("tg,tgc->tc", weight, avatar.rgb[nearest]) / weight.sum(1, keepdims=True)

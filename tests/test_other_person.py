@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from detail_samples import detail_of, flat
-from other_person import RELIEF_GAIN, Somebody, as_person, person_detail, somebody
+from other_person import DETAIL_MM, RELIEF_GAIN, Somebody, as_person, person_detail, shown_albedo, somebody
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
@@ -68,7 +68,6 @@ def test_a_person_as_itself_stays_as_it_was(avatar, own):
     for name in ("position_m", "sigma_m", "rgb"):
         assert np.array_equal(getattr(same, name), getattr(avatar, name)), name
     before, after = avatar.learned, same.learned
-    assert np.array_equal(before.normal, after.normal)
     for name in ("roughness", "softness"):
         assert np.array_equal(getattr(before.response, name), getattr(after.response, name)), name
     assert np.array_equal(after.response.bounce, thrown_back(avatar, avatar.rgb))
@@ -102,22 +101,69 @@ def test_the_left_hand_is_the_mirror_image_of_the_right(other):
     np.testing.assert_allclose(left.position_m * [-1, 1, 1], right.position_m, atol=2e-6)
 
 
-def test_detail_has_the_persons_fine_colors_and_no_wide_ones(child):
+def test_normals_of_neighbors_become_alike_and_those_of_the_next_finger_are_not_asked(avatar, own):
+    """Three Gaussians half a millimeter apart, the last of which looks the other way."""
+    position_m, normal = avatar.position_m.copy(), avatar.learned.normal.copy()
+    position_m[:3] = 1 + np.array([[0, 0, 0], [5e-4, 0, 0], [0, 5e-4, 0]])
+    normal[:3] = [[0, 0, 1], [0, 0.28, 0.96], [0, 0, -1]]
+    crowded = replace(avatar, position_m=position_m, learned=replace(avatar.learned, normal=normal))
+    came = as_person(crowded, own, own).learned.normal
+    assert came[0] @ came[1] > 0.999
+    np.testing.assert_allclose(came[2], normal[2], atol=1e-6)
+
+
+def with_detail(avatar: HandAvatar, texture: np.ndarray) -> HandAvatar:
+    """Its Gaussians are all of one color, and show none."""
+    return replace(avatar, rgb=np.full_like(avatar.rgb, 0.5), detail=detail_of(texture))
+
+
+def test_gaussians_show_the_outermost_of_them_first(own):
+    detail = detail_of(flat(TEXELS, 0.0))
+    face = 4000
+    place_m, outwards = detail.position_m[detail.faces[face]].mean(0), detail.normals[detail.faces[face, 0]]
+    # 1 and 2 mm below the skin, so wide that a texel may lie a millimeter beside
+    hand = load_painted(handedness=Handedness.RIGHT).prefix(50)
+    position_m, sigma_m, opacity, rgb = (
+        each.copy() for each in (hand.position_m + 1, hand.sigma_m, hand.opacity, hand.rgb)
+    )
+    position_m[:2], sigma_m[:2] = place_m - np.array([[0.002], [0.001]]) * outwards, 0.05
+    opacity[:2], rgb[:2] = [0.9, 0.6], np.eye(3)[:2]
+    two = replace(hand, position_m=position_m, sigma_m=sigma_m, opacity=opacity, rgb=rgb)
+    middle = np.floor(TEXELS * detail.face_uv[face].mean(0)).astype(int)
+    came = shown_albedo(two, detail, own)[TEXELS - 1 - middle[1], middle[0]]
+    np.testing.assert_allclose(came, np.array([0.4 * 0.9, 0.6, 0]) / (0.4 * 0.9 + 0.6), atol=2e-3)
+
+
+def test_what_gaussians_show_is_not_in_the_detail_again(avatar, child):
+    """Maps of one color: what is left is what Gaussians have too much, reversed."""
+    rng = np.random.default_rng(5)
+    uneven = replace(with_detail(avatar, flat(TEXELS, 0.0)), rgb=rng.uniform(0.3, 0.9, avatar.rgb.shape).astype("f4"))
+    one = replace(child, maps=replace(child.maps, rgb=np.full((TEXELS, TEXELS, 3), 0.5, np.float32)))
+    shown = shown_albedo(uneven, uneven.detail, one)
+    wanted = -np.log(shown / one.blurred(shown, DETAIL_MM))
+    came = log_ratios(person_detail(uneven, one).texture)
+    skin = child.covered[..., 0] > 0
+    assert wanted[skin].std() > 0.03
+    np.testing.assert_allclose(came[skin], wanted[skin], atol=0.08)
+
+
+def test_detail_has_the_persons_fine_colors_and_no_wide_ones(avatar, child):
     stripes = 1 + 0.2 * np.sin(2 * np.pi * np.arange(TEXELS) / 4)[:, None, None]
     bright = np.linspace(0.2, 0.6, TEXELS)[None, :, None]
     maps = replace(child.maps, rgb=np.broadcast_to(stripes * bright, (TEXELS, TEXELS, 3)).astype(np.float32))
-    came = log_ratios(person_detail(detail_of(flat(TEXELS, 0.5)), replace(child, maps=maps)).texture)[..., 1]
+    came = log_ratios(person_detail(with_detail(avatar, flat(TEXELS, 0.5)), replace(child, maps=maps)).texture)[..., 1]
     skin = child.covered[..., 0] > 0
     assert not came[~skin].any()
     np.testing.assert_allclose(came[skin], np.broadcast_to(np.log(stripes[..., 0]), came.shape)[skin], atol=0.06)
 
 
-def test_wrinkles_of_straight_joints_go_and_folds_deepen_where_joints_bend(child):
+def test_wrinkles_of_straight_joints_go_and_folds_deepen_where_joints_bend(avatar, child):
     flat_maps = {name: np.zeros((TEXELS, TEXELS), np.float32) for name in FINE_LAYERS}
     for layer, straight, bent in (("static", 1, 1), ("straight", 1, 0), ("fold", 1, 1.5)):
         fine = {**flat_maps, layer: np.full((TEXELS, TEXELS), 0.1, np.float32)}
         one = replace(child, maps=replace(child.maps, fine=fine))
-        height = person_detail(detail_of(flat(TEXELS, 0.0)), one).relief.height[child.covered[..., 0] > 0]
+        relief = person_detail(with_detail(avatar, flat(TEXELS, 0.0)), one).relief
+        height = relief.height[child.covered[..., 0] > 0]
         wanted_m = 1e-4 * RELIEF_GAIN * np.array([straight, bent])
         np.testing.assert_allclose(height * HEIGHT_STEP_M, np.broadcast_to(wanted_m, height.shape), atol=HEIGHT_STEP_M)
 

@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 from PIL import Image
+from scipy import sparse
 
 from jghand_engine.captures.making.rig import FIRST_JOINTS, Identity
 from jghand_engine.captures.skin.noise import cells, fractal_noise, noise, smoothstep
@@ -23,12 +24,14 @@ from jghand_engine.hand.joints import PARENTS
 from jghand_engine.hand.rotations import unit
 from jghand_engine.template.builtin import ASSETS
 from jghand_engine.template.subdivision import Subdivision
-from jghand_engine.template.surface import vertex_normals
+from jghand_engine.template.surface import directed_edges, vertex_normals
 from jghand_engine.template.texture import rasterize_uv, sample_bilinear
 
 MM = 1e-3
 # how often the template is subdivided for the places of texels: on coarser faces their edges show in every mask
 TEXEL_LEVELS = 2
+# means over neighbors a millimeter away that spread a normal by 3 mm
+AROUND_ROUNDS = 10
 # the mean middle phalanx for which the lengths of marks are given, mm, and how far sizes of hands go from it
 USUAL_PHALANX_MM, SIZES = 24.5, (0.70, 1.25)
 PINKY_SIZE = 0.88
@@ -73,6 +76,7 @@ class Texels:
     covered: (S, S) bool, row = 1 - v; of its N true ones, row by row:
     point:   (N, 3) mm
     normal:  (N, 3) unit
+    around:  (N, 3) mean normal of some 3 mm around, shorter than 1 where the skin is round
     shares:  (N, 5, 3) skin weights of the fingers' bones
     nail:    (N,) 0..1 of the template's nail mask
     texel_mm: edge of a texel on the skin
@@ -81,6 +85,7 @@ class Texels:
     covered: np.ndarray
     point: np.ndarray
     normal: np.ndarray
+    around: np.ndarray
     shares: np.ndarray
     nail: np.ndarray
     texel_mm: float
@@ -113,9 +118,13 @@ class Texels:
         on_skin = np.cross(b - a, c - a)[: skin * 4**TEXEL_LEVELS]
         in_uv = np.linalg.det(identity.face_uv[:skin, 1:] - identity.face_uv[:skin, :1])
         texel_mm = float(np.sqrt(np.linalg.norm(on_skin, axis=1).sum() / np.abs(in_uv).sum()) / size)
-        normals = vertex_normals(vertices, fine.faces)
+        normals = around = vertex_normals(vertices, fine.faces)
+        beside = sparse.coo_array((np.ones(3 * len(fine.faces)), directed_edges(fine.faces).T)).tocsr()
+        beside /= beside.sum(1)[:, None]
+        for _ in range(AROUND_ROUNDS):
+            around = beside @ around
         return cls(
-            covered, looked_up(vertices), unit(looked_up(normals)),
+            covered, looked_up(vertices), unit(looked_up(normals)), looked_up(around),
             looked_up(shares.reshape(-1, 15)).reshape(-1, 5, 3), sample_bilinear(nails, uv)[:, 0].astype(np.float32),
             texel_mm,
         )  # fmt: skip
@@ -129,6 +138,7 @@ class Canvas:
     axis, palmar, length: (21, 3), (21, 3), (21,) of each bone
     size:    of the hand, for which lengths of marks are scaled
     hand_side: (N,) -1 back to 1 palm, as if the forearm went on like the hand
+    side_around: (N,) the same of the mean normal around
     wobble:  (N,) mm by which lines depart from their way
     heights: (N,) mm of each layer: `static` is always there, `straight` while the joint nearby is straight, `bent`
              while it is bent, `fold` always, and half as much again when bent
@@ -144,6 +154,7 @@ class Canvas:
     length: np.ndarray
     size: float
     hand_side: np.ndarray
+    side_around: np.ndarray
     wobble: np.ndarray = field(init=False)
     heights: dict[str, np.ndarray] = field(init=False)
     amounts: dict[str, np.ndarray] = field(init=False)
@@ -178,9 +189,9 @@ class Canvas:
         shares = texels.shares
         towards = (1 - shares.sum((1, 2)))[:, None] * OUT_OF_PALM
         towards = towards + np.einsum("nfb,bfc->nc", shares, palmar[6:].reshape(3, 5, 3))
-        side = (texels.normal * unit(towards)).sum(1).astype(np.float32)
+        sides = ((each * unit(towards)).sum(1).astype(np.float32) for each in (texels.normal, texels.around))
         scale = float(np.clip(length[[12, 13, 14]].mean() / USUAL_PHALANX_MM, *SIZES))
-        return cls(texels, person, joints, axis, palmar, length, scale, side)
+        return cls(texels, person, joints, axis, palmar, length, scale, *sides)
 
     # ---- where ---------------------------------------------------------------------------------------------------
 

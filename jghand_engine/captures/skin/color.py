@@ -41,7 +41,7 @@ FURROWS_RGB = np.array([0.75, 1.0, 1.0])
 # what dry ridges send back more
 DRY, DRY_RGB = 0.035, np.array([1.0, 0.96, 0.90])
 # melanin of a nail's bed, of pale and of dark skin, as a part of the tone
-BED_MELANIN, DARK_BED_MELANIN = 0.30, 0.42
+BED_MELANIN, DARK_BED_MELANIN = 0.30, 0.36
 MOON_RGB, FREE_EDGE_RGB = np.array([0.74, 0.60, 0.54]), np.array([0.78, 0.73, 0.64])
 # behind the wrist, where the palm's color ends: over centimeters, or dark skin has a cuff
 PALE_FROM_TO_MM, PALE_UNEVEN_MM = (8.0, -62.0), 1.5
@@ -80,7 +80,7 @@ def paint_roughness(canvas: Canvas) -> np.ndarray:
 def _melanin(canvas: Canvas, palm: np.ndarray, along_mm: np.ndarray) -> np.ndarray:
     tone, of = canvas.person.melanin, canvas.amounts
     marks, dark = min(tone, MARKS_DARKEST), smoothstep(*DARK, tone)
-    pale = smoothstep(*DARK_PALM_EDGE, canvas.hand_side) * smoothstep(*DARK_PALM_ENDS_MM, along_mm)
+    pale = smoothstep(*DARK_PALM_EDGE, canvas.side_around) * smoothstep(*DARK_PALM_ENDS_MM, along_mm)
     palm = palm + dark * (pale - palm)
     share = 1 - palm * (PALM_PALER + dark * (DARK_PALM_PALER - PALM_PALER))
     uneven = 1 + 0.10 * canvas.fractal_noise("melanin", 14.0)
@@ -92,7 +92,7 @@ def _melanin(canvas: Canvas, palm: np.ndarray, along_mm: np.ndarray) -> np.ndarr
     freckles = _spots(canvas, "freckles", FRECKLES, canvas.person.freckles)
     spots = _spots(canvas, "spots", SPOTS, max(0.0, canvas.person.age - SPOTS_FROM_AGE))
     spots *= 1 - smoothstep(*NO_SPOTS, of["knuckle"])
-    total += canvas.back * canvas.skin * (0.09 + 0.10 * tone) * (freckles + 1.5 * spots)
+    total += canvas.back * canvas.skin * (0.09 + 0.10 * tone) * (freckles + 1.9 * spots)
     return total.clip(0, 2)
 
 
@@ -130,13 +130,14 @@ def _carotene(canvas: Canvas, palm: np.ndarray) -> np.ndarray:
 def _nails(canvas: Canvas) -> np.ndarray:
     """(N, 3): the bed seen through the plate, a redder band at its end, moon and free edge."""
     person, of, (x, y) = canvas.person, canvas.amounts, canvas.nail_xy.T
-    melanin = person.melanin * (BED_MELANIN + smoothstep(*DARK, person.melanin) * (DARK_BED_MELANIN - BED_MELANIN))
+    dark = smoothstep(*DARK, person.melanin)
+    melanin = person.melanin * (BED_MELANIN + dark * (DARK_BED_MELANIN - BED_MELANIN))
     bed = reflectance(*np.array([melanin, 0.30 + 0.55 * person.blood, 0.25 * person.warmth]))
     flat = np.stack([6 * y, 0.7 * x, np.zeros_like(x)], 1)
     streaks = 1 + 0.04 * noise(flat, 0.8, canvas.seed("nail streaks"))
     rgb = bed * (streaks * (1 + 0.06 * smoothstep(0.2, 0.95, x)))[:, None]
     for name, color, part in (
-        ("moon", MOON_RGB * (1 - 0.45 * min(1.0, person.melanin)), 0.55),
+        ("moon", MOON_RGB * (1 - 0.45 * min(1.0, person.melanin)), 0.55 - 0.20 * dark),
         ("free_edge", FREE_EDGE_RGB * (1 - 0.25 * min(1.0, person.melanin)), 0.85),
     ):
         rgb += part * of[name][:, None] * (color - rgb)

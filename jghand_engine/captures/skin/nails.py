@@ -19,6 +19,8 @@ ROOT_EXPONENT, ARCH = 2.6, 0.16
 GROOVE_MM, FOLD_MM, CUTICLE_MM = (0.26, 0.16), (0.40, 0.60), (0.07, 0.14)
 # the plate: at its edge, more in its middle, its free edge, and the step down to the finger tip beyond it
 PLATE_MM, VAULT_MM, FREE_EDGE_MM, STEP_MM = 0.10, 0.10, 0.10, 0.28
+# half of the way from skin to plate; no less than a texel, or the edge of a pale nail in dark skin is a saw
+EDGE_MM = 0.10
 # ridges along the plate, mm high and apart: at 0.01 mm it looks corrugated already
 RIDGE_MM, RIDGES_APART_MM = 0.0035, 0.55
 # how far the moon reaches from the root: whole on thumb and index, half on the middle finger, little on the others
@@ -29,6 +31,7 @@ FREE_EDGE_MOST = 0.55
 
 def paint_nails(canvas: Canvas) -> None:
     texels = canvas.texels
+    edge = max(EDGE_MM, texels.texel_mm)
     for finger in range(5):
         on = np.nonzero((texels.shares[:, finger, 2] > 0.25) & (canvas.side < 0.35))[0]
         a, lateral, _ = canvas.bone(16 + finger).of(texels.point[on])
@@ -42,7 +45,7 @@ def paint_nails(canvas: Canvas) -> None:
         far = np.minimum(1 - np.abs(y), 1.02 - ARCH * y**2 - x)
         depth = small * np.where(x < 0, root, far)
         depth = depth + (0.06 * canvas.noise(f"nail{finger}", 1.6, on) + 0.04) * smoothstep(0.9, 0.5, x)
-        plate = smoothstep(-0.10, 0.10, depth)
+        plate = smoothstep(-edge, edge, depth)
         in_skin = smoothstep(0.85, 0.45, x)
         fold = gauss(depth + 0.85, FOLD_MM[1]) * in_skin
         cuticle = gauss(depth + 0.16, CUTICLE_MM[1]) * smoothstep(0.1, -0.5, x)
