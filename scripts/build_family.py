@@ -44,8 +44,8 @@ from jghand_engine.avatar.validation import as_text
 from jghand_engine.captures.making.person_skin import MAP_PX
 from jghand_engine.captures.making.rig import load_identity
 from jghand_engine.captures.skin.maps import FINE_LAYERS, SkinMaps, paint_skin
-from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.skin.noise import smoothstep
+from jghand_engine.captures.skin.person import Person
 from jghand_engine.export.pictures import flatten
 from jghand_engine.files import writing
 from jghand_engine.hand.joints import Handedness
@@ -81,7 +81,7 @@ DISTANCE_M, BACKGROUND = 0.8, (0.80, 0.79, 0.78)
 ARM_FADES = 0.17
 # the light of pictures, the same on both sides: a wide lamp on the camera's left and above it, from where its light
 # falls across the relief, W/(m2 sr), and a dim sky
-KEY_RGB, KEY_SIDE_M, KEY_TOWARDS, KEY_AWAY_M = np.array([22.0, 21.0, 19.3]), 0.22, np.array([-0.62, 0.52, 0.59]), 0.5
+KEY_RGB, KEY_SIDE_M, KEY_TOWARDS, KEY_AWAY_M = np.array([19.0, 18.1, 16.6]), 0.22, np.array([-0.62, 0.52, 0.59]), 0.5
 SKY = 0.75
 
 
@@ -196,8 +196,7 @@ def thumbnail(avatar: HandAvatar) -> Image.Image:
 
 def picture(files: list[Path]) -> Image.Image:
     """Backs above palms, all at one scale."""
-    width, height = CELL_PX
-    shown = smoothstep(0, ARM_FADES, 1 - (np.arange(height) + 0.5) / height)[:, None, None]
+    shown = smoothstep(0, ARM_FADES, np.linspace(1, 0, CELL_PX[1]))[:, None, None]
     rows = []
     for side in (-1, 1):
         frames = [_frame(load_avatar(file), side, CELL_PX, CELL_FIELD_M) for file in files]

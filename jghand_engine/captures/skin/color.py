@@ -13,9 +13,11 @@ from jghand_engine.captures.skin.person import Person, reflectance
 DARK = (Person.melanin, 0.9)
 # how much less melanin the palm has, of pale and of dark skin
 PALM_PALER, DARK_PALM_PALER = 0.60, 0.68
-# where the palm's color begins and is whole, on the way from back to palm: blood and carotene, and melanin of dark
-# skin, which thins out over the whole flank and ends a centimeter or two behind the wrist's crease
+# where the palm's color begins and is whole, on the way from back to palm: that of dark skin changes over the whole
+# flank, and ends a centimeter or two behind the wrist's crease
 PALM_EDGE, DARK_PALM_EDGE, DARK_PALM_ENDS_MM = (-0.25, 0.40), (-0.60, 0.65), (-26.0, 4.0)
+# what the horny layer of the palm, which is thick, sends back before melanin takes it: without it dark palms are orange
+HORNY_PALM = 0.03
 # melanin that knuckles, creases of dark palms and the network have more, as a part of the tone
 ON_KNUCKLES, IN_CREASES, IN_NETWORK = 0.30, 0.30, 0.22
 # tones from which marks, and creases, get no more melanin: light falls exponentially with it, so that in proportion to
@@ -43,7 +45,7 @@ DRY, DRY_RGB = 0.035, np.array([1.0, 0.96, 0.90])
 # melanin of a nail's bed, of pale and of dark skin, as a part of the tone
 BED_MELANIN, DARK_BED_MELANIN = 0.30, 0.36
 MOON_RGB, FREE_EDGE_RGB = np.array([0.74, 0.60, 0.54]), np.array([0.78, 0.73, 0.64])
-# behind the wrist, where the palm's color ends: over centimeters, or dark skin has a cuff
+# behind the wrist, where the color of a pale palm ends, and how far from that it does, here and there
 PALE_FROM_TO_MM, PALE_UNEVEN_MM = (8.0, -62.0), 1.5
 # no skin is darker or paler
 RGB_LIMITS = (0.004, 0.95)
@@ -56,14 +58,17 @@ def paint_color(canvas: Canvas) -> np.ndarray:
     uneven_mm = PALE_UNEVEN_MM * canvas.fractal_noise("pale", 12.0)
     # broader than the palm of the relief: colors change slowly at the edge of the hand and behind the wrist
     palm = smoothstep(*PALM_EDGE, canvas.side_until(*PALE_FROM_TO_MM, uneven_mm))
-    melanin = _melanin(canvas, palm, canvas.texels.point[:, 1] / canvas.size + uneven_mm)
-    rgb = reflectance(melanin, _blood(canvas, palm), _carotene(canvas, palm)).astype(np.float32)
+    dark = smoothstep(*DARK, person.melanin)
+    ends = smoothstep(*DARK_PALM_ENDS_MM, canvas.texels.point[:, 1] / canvas.size + uneven_mm)
+    palm += dark * (ends * smoothstep(*DARK_PALM_EDGE, canvas.side_around) - palm)
+    rgb = reflectance(_melanin(canvas, palm), _blood(canvas, palm), _carotene(canvas, palm)).astype(np.float32)
+    rgb += HORNY_PALM * dark * palm[:, None]
     bluish = (VEIN + VEIN_OF_PALE * (1 - min(1.0, 2 * person.melanin))) * of["vein"]
     rgb *= 1 - bluish[:, None] * VEIN_TAKES
     dry = 0.6 * of["ridge"] * canvas.skin + 0.5 * palm * np.clip(canvas.fractal_noise("mottle", 5.0), 0, 1)
     rgb += DRY * person.dryness * dry[:, None] * DRY_RGB
-    dark = sum((part * np.clip(of[name], 0, 1) for name, part in DARK_FURROWS.items()), np.float32(0))
-    rgb *= (1 - np.clip(dark, 0, 0.6))[:, None] ** FURROWS_RGB
+    furrows = sum((part * np.clip(of[name], 0, 1) for name, part in DARK_FURROWS.items()), np.float32(0))
+    rgb *= (1 - np.clip(furrows, 0, 0.6))[:, None] ** FURROWS_RGB
     rgb += of["plate"][:, None] * (_nails(canvas) - rgb)
     return rgb.clip(*RGB_LIMITS)
 
@@ -77,11 +82,9 @@ def paint_roughness(canvas: Canvas) -> np.ndarray:
     return rough.clip(*ROUGHNESS_LIMITS)
 
 
-def _melanin(canvas: Canvas, palm: np.ndarray, along_mm: np.ndarray) -> np.ndarray:
+def _melanin(canvas: Canvas, palm: np.ndarray) -> np.ndarray:
     tone, of = canvas.person.melanin, canvas.amounts
     marks, dark = min(tone, MARKS_DARKEST), smoothstep(*DARK, tone)
-    pale = smoothstep(*DARK_PALM_EDGE, canvas.side_around) * smoothstep(*DARK_PALM_ENDS_MM, along_mm)
-    palm = palm + dark * (pale - palm)
     share = 1 - palm * (PALM_PALER + dark * (DARK_PALM_PALER - PALM_PALER))
     uneven = 1 + 0.10 * canvas.fractal_noise("melanin", 14.0)
     uneven += 0.05 * canvas.noise("speckle", 1.7) + 0.05 * canvas.noise("fine speckle", 0.55)
@@ -138,7 +141,7 @@ def _nails(canvas: Canvas) -> np.ndarray:
     rgb = bed * (streaks * (1 + 0.06 * smoothstep(0.2, 0.95, x)))[:, None]
     for name, color, part in (
         ("moon", MOON_RGB * (1 - 0.45 * min(1.0, person.melanin)), 0.55 - 0.20 * dark),
-        ("free_edge", FREE_EDGE_RGB * (1 - 0.25 * min(1.0, person.melanin)), 0.85),
+        ("free_edge", FREE_EDGE_RGB * (1 - 0.25 * min(1.0, person.melanin)), 0.85 - 0.25 * dark),
     ):
         rgb += part * of[name][:, None] * (color - rgb)
     band = gauss(x - 0.80 + 0.10 * y**2, 0.05) * (1 - of["free_edge"])
