@@ -1,8 +1,10 @@
 """The script that makes the family of built-in hands: what it keeps, and what it packs."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import build_family
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -51,6 +53,19 @@ def test_a_hand_larger_than_eight_megabytes_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(build_family, "FILE_MAX_BYTES", 100)
     with pytest.raises(SystemExit, match="larger than"):
         build_family._kept(tmp_path / "child.jghand", "one", lambda: HAND)
+
+
+def test_no_arm_is_cut_off_at_the_edge_of_its_cell(tmp_path, monkeypatch):
+    """Hands that fill their cells are whole above and the background below."""
+    width, height = build_family.CELL_PX
+    frame = SimpleNamespace(displayed=lambda: np.ones((height, width, 4), np.float32))
+    monkeypatch.setattr(build_family, "load_avatar", lambda file: HAND)
+    monkeypatch.setattr(build_family, "_frame", lambda avatar, side, size, field_m: frame)
+    cells = np.asarray(build_family.picture([tmp_path / "one.jghand", tmp_path / "other.jghand"]))
+    assert cells.shape == (2 * height, 2 * width, 3)
+    for row in np.split(cells, 2):
+        assert (row[: height // 2] == 255).all()
+        np.testing.assert_allclose(row[-1], 255 * np.broadcast_to(build_family.BACKGROUND, (2 * width, 3)), atol=1)
 
 
 def test_what_was_measured_is_told_to_be_of_the_trained_hand():
