@@ -79,9 +79,9 @@ CELL_PX, CELL_FIELD_M = (270, 370), 0.28
 DISTANCE_M, BACKGROUND = 0.8, (0.80, 0.79, 0.78)
 # of a cell's height, from its lower edge, the part over which an arm fades: none is cut off
 ARM_FADES = 0.17
-# the light of pictures, the same on both sides: a wide lamp on the camera's left and above it, from where its light
-# falls across the relief, W/(m2 sr), and a dim sky
-KEY_RGB, KEY_SIDE_M, KEY_TOWARDS, KEY_AWAY_M = np.array([19.0, 18.1, 16.6]), 0.22, np.array([-0.62, 0.52, 0.59]), 0.5
+# the light of pictures, the same on both sides: a wide lamp on the camera's left and above it, whose light falls across
+# the relief, and a dim sky. W/(m2 sr), meters, and from the middle of the hand to it where a camera sees the palm
+KEY_RGB, KEY_SIZE_M, KEY_AWAY_M = (19.0, 18.1, 16.6), (0.22, 0.22), (-0.31, 0.26, 0.29)
 SKY = 0.75
 
 
@@ -214,10 +214,8 @@ def _frame(avatar: HandAvatar, side: int, size: tuple[int, int], field_m: float)
     eye = middle + DISTANCE_M * seen_from * [0.14, 0.10, 0.98]
     focal_px = size[1] * DISTANCE_M / field_m
     camera = Camera.looking_at(eye, middle, (0, 1, 0), width=size[0], height=size[1], focal_px=focal_px)
-    towards = seen_from * KEY_TOWARDS
-    key = Lamp(
-        LampKind.AREA, tuple(KEY_RGB), tuple(middle + KEY_AWAY_M * towards), tuple(-towards), size_m=2 * (KEY_SIDE_M,)
-    )
+    away_m = seen_from * KEY_AWAY_M
+    key = Lamp(LampKind.AREA, KEY_RGB, tuple(middle + away_m), tuple(-away_m), size_m=KEY_SIZE_M)
     return HandRenderer(shown, preset("final"), light_of((key,), sky(SKY))).render(joints_m, camera)
 
 
