@@ -21,7 +21,7 @@ from scipy.spatial import KDTree
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, RATIO_STEPS, Detail, ratio_bytes
-from jghand_engine.avatar.learned import SkinResponse
+from jghand_engine.avatar.learned import Learned, SkinResponse
 from jghand_engine.avatar.relief import HEIGHT_STEP_M, Relief
 from jghand_engine.avatar.relighting import thrown_back
 from jghand_engine.captures.making.person_skin import scatter_m
@@ -46,9 +46,9 @@ LEVELS = 2
 FOOTPRINT_MM, COLOR_FOOTPRINT_MM = 0.6, 0.25
 # detail is what is finer than this, mm, in the maps and not in the Gaussians, which show little of less
 DETAIL_MM = 1.5
-# normals are means over this spread, mm, of so many Gaussians at most whose normals have this cosine at least: a finger
-# next to another is not asked
-NORMALS_MM, NORMALS_MEAN, NORMALS_ALIKE = 1.5, 24, 0.3
+# what makes gloss is a mean over this spread, mm, of so many Gaussians at most whose normals have this cosine at least:
+# a finger next to another is not asked
+GLOSS_MM, GLOSS_MEAN, GLOSS_ALIKE = 2.0, 40, 0.3
 # Gaussians that are looked at for a texel: those beyond change nothing that is seen; texels at once, for 200 MB
 SHOWN, TEXELS_AT_ONCE = 16, 100_000
 # where none of them reaches, which no picture shows, it is the mean of all
@@ -107,7 +107,7 @@ def as_person(avatar: HandAvatar, own: Somebody, other: Somebody) -> HandAvatar:
     rgb = (avatar.rgb * (after / before)).clip(*RGB_LIMITS).astype(np.float32)
     rgb = np.where(after == before, avatar.rgb, rgb)
     response = replace(_response(learned.response, own, other, uv), bounce=thrown_back(avatar, rgb))
-    learned = replace(learned, response=response, normal=_smooth_normals(avatar, learned.normal))
+    learned = _with_even_gloss(avatar, learned, response)
     shaped = other_shape(replace(avatar, rgb=rgb, learned=learned), own, other)
     return replace(shaped, own_joints_m=other.identity.joints_m)
 
@@ -136,13 +136,20 @@ def _skin_m(one: Somebody) -> np.ndarray:
     return surface.posed(one.identity.vertices_m, surface.bent(one.identity.joints_m[None])[0])
 
 
-def _smooth_normals(avatar: HandAvatar, normal: np.ndarray) -> np.ndarray:
-    """(N, 3) of each Gaussian the mean of those around it that look the same way: from one to the next they differ by
-    degrees, which is gray blotches in the gloss of dark skin."""
-    apart_m, near = map(np.asarray, KDTree(avatar.position_m).query(avatar.position_m, NORMALS_MEAN))
-    weight = np.exp(-0.5 * (apart_m / NORMALS_MM / MM) ** 2) * avatar.opacity[near]
-    weight *= np.einsum("gc,gkc->gk", normal, normal[near]) > NORMALS_ALIKE
-    return unit(np.einsum("gk,gkc->gc", weight, normal[near])).astype(np.float32)
+def _with_even_gloss(avatar: HandAvatar, learned: Learned, response: SkinResponse) -> Learned:
+    """With this response, its roughness and reflectance, and the normals, as means of those around each Gaussian: what
+    they differ in from one to the next is chance, which the gloss of dark skin shows as gray blotches."""
+    normal = learned.normal
+    apart_m, near = map(np.asarray, KDTree(avatar.position_m).query(avatar.position_m, GLOSS_MEAN))
+    weight = np.exp(-0.5 * (apart_m / GLOSS_MM / MM) ** 2) * avatar.opacity[near]
+    weight *= np.einsum("gc,gkc->gk", normal, normal[near]) > GLOSS_ALIKE
+    weight /= weight.sum(1, keepdims=True)
+    normal, roughness, reflectance = (
+        np.einsum("gk,gk...->g...", weight, each[near]).astype(np.float32)
+        for each in (normal, response.roughness, response.reflectance)
+    )
+    response = replace(response, roughness=roughness, reflectance=reflectance)
+    return replace(learned, normal=unit(normal), response=response)
 
 
 def _response(response: SkinResponse, own: Somebody, other: Somebody, uv: np.ndarray) -> SkinResponse:

@@ -68,8 +68,7 @@ def test_a_person_as_itself_stays_as_it_was(avatar, own):
     for name in ("position_m", "sigma_m", "rgb"):
         assert np.array_equal(getattr(same, name), getattr(avatar, name)), name
     before, after = avatar.learned, same.learned
-    for name in ("roughness", "softness"):
-        assert np.array_equal(getattr(before.response, name), getattr(after.response, name)), name
+    assert np.array_equal(before.response.softness, after.response.softness)
     assert np.array_equal(after.response.bounce, thrown_back(avatar, avatar.rgb))
 
 
@@ -101,15 +100,20 @@ def test_the_left_hand_is_the_mirror_image_of_the_right(other):
     np.testing.assert_allclose(left.position_m * [-1, 1, 1], right.position_m, atol=2e-6)
 
 
-def test_normals_of_neighbors_become_alike_and_those_of_the_next_finger_are_not_asked(avatar, own):
+def test_gloss_of_neighbors_becomes_alike_and_that_of_the_next_finger_is_not_asked(avatar, own):
     """Three Gaussians half a millimeter apart, the last of which looks the other way."""
     position_m, normal = avatar.position_m.copy(), avatar.learned.normal.copy()
     position_m[:3] = 1 + np.array([[0, 0, 0], [5e-4, 0, 0], [0, 5e-4, 0]])
     normal[:3] = [[0, 0, 1], [0, 0.28, 0.96], [0, 0, -1]]
-    crowded = replace(avatar, position_m=position_m, learned=replace(avatar.learned, normal=normal))
-    came = as_person(crowded, own, own).learned.normal
-    assert came[0] @ came[1] > 0.999
-    np.testing.assert_allclose(came[2], normal[2], atol=1e-6)
+    roughness, reflectance = (np.full(len(normal), value, np.float32) for value in (0.5, 0.02))
+    roughness[:3], reflectance[:3] = [0.4, 0.5, 0.7], [0.02, 0.03, 0.05]
+    response = replace(avatar.learned.response, roughness=roughness, reflectance=reflectance)
+    learned = replace(avatar.learned, normal=normal, response=response)
+    came = as_person(replace(avatar, position_m=position_m, learned=learned), own, own).learned
+    assert came.normal[0] @ came.normal[1] > 0.999
+    np.testing.assert_allclose(came.response.roughness[:3], [0.45, 0.45, 0.7], atol=0.01)
+    np.testing.assert_allclose(came.response.reflectance[:3], [0.025, 0.025, 0.05], atol=1e-3)
+    np.testing.assert_allclose(came.normal[2], normal[2], atol=1e-6)
 
 
 def with_detail(avatar: HandAvatar, texture: np.ndarray) -> HandAvatar:
