@@ -1,4 +1,4 @@
-"""The hand that a fit draws: few Gaussians of the prior, posed in batches, with outlines as large as the whole hand's.
+"""The hand that a fit draws: few Gaussians of the prior, posed in batches, with outlines as large as pictures show.
 
 It is `learn.skinning` for many poses at once. What the pose's network adds is not differentiated: it is found once in a
 while and kept. Everything is before the camera: x right, y down, z forward, meters.
@@ -6,10 +6,11 @@ while and kept. Everything is before the camera: x right, y down, z forward, met
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -25,13 +26,14 @@ from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.own.fit_views import View, hand_side
 from jghand_engine.own.shape import shape_basis
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.settings import RenderSettings
+from jghand_engine.render.renderer import HandRenderer
+from jghand_engine.render.settings import RenderSettings, preset
 
 # Gaussians that are drawn: a pass forwards and back takes some 30 ms
 FIT_GAUSSIANS = 8000
 # the factor of the radii is sought between these, as exactly as this: a thousandth is 0.03 % of the area
 RADIUS_FACTORS, RADIUS_FACTOR_STEP = (0.1, 1.6), 1e-3
-# the whole hand is measured in a picture with so many times the film's pixels along each side
+# how large outlines are to be is measured in pictures with so many times the film's pixels along each side
 FINE = 2
 _SETTINGS = RenderSettings(threads=1)
 
@@ -123,32 +125,29 @@ class FitSurface:
 
 @torch.no_grad()
 def outline_factor(prior: HandAvatar, surface: FitSurface, joints_m: Tensor, views: Sequence[View]) -> float:
-    """By which the radii of `surface` have outlines of the size that the whole hand has in a picture that is finer.
+    """By which the radii of `surface` have outlines of the size in which finer pictures show the prior.
 
-    A pixel's low pass widens outlines, by 9 to 11 % of their area at the sizes of a fit, and few Gaussians have grown
-    ones: a fit would answer with thin fingers and a hand too far away.
+    A pixel's low pass widens outlines, by 9 to 11 % of their area at the sizes of a fit, few Gaussians have grown ones,
+    and pictures end where the skin's surface does: a fit would answer with thin fingers and a hand too far away.
 
     joints_m: (P, 21, 3) of some poses · views: (P,) of each, as the fit sees it
     """
-    whole = FitSurface(prior, 0)
+    joints = joints_m.double().numpy()
     finer = [view.camera.scaled(FINE * view.factor) for view in views]
-    wanted = _area(whole, joints_m, finer)(1.0) / FINE**2
-    area = _area(surface, joints_m, [view.camera for view in views])
+    shown = HandRenderer(prior, replace(preset("final"), threads=1))
+    alphas = (shown.render(one, camera).rgba[..., 3] for one, camera in zip(joints, finer, strict=True))
+    wanted = _covered(map(torch.from_numpy, alphas), finer, joints) / FINE**2
+    cameras, posed = [view.camera for view in views], surface.posed(joints_m, None, surface.keep(joints_m))
     low, high = RADIUS_FACTORS
     while high - low > RADIUS_FACTOR_STEP:
         middle = (low + high) / 2
-        too_large = area(middle) * views[0].factor ** 2 > wanted
-        low, high = (low, middle) if too_large else (middle, high)
+        pictures = (surface.draw(posed, row, one, surface.hand.rgb, middle) for row, one in enumerate(cameras))
+        covered = _covered((picture.alpha for picture in pictures), cameras, joints)
+        low, high = (low, middle) if covered * views[0].factor ** 2 > wanted else (middle, high)
     return (low + high) / 2
 
 
-def _area(surface: FitSurface, joints_m: Tensor, cameras: Sequence[Camera]) -> Callable[[float], float]:
-    """How many pixels of all pictures are covered on the hand's side of the wrist, by the factor of the radii."""
-    posed = surface.posed(joints_m, None, surface.keep(joints_m))
-    sides = [hand_side(camera, joints.numpy()) for camera, joints in zip(cameras, joints_m, strict=True)]
-
-    def area(factor: float) -> float:
-        pictures = (surface.draw(posed, row, camera, surface.hand.rgb, factor) for row, camera in enumerate(cameras))
-        return sum(float((picture.alpha * side).sum()) for picture, side in zip(pictures, sides, strict=True))
-
-    return area
+def _covered(alphas: Iterable[Tensor], cameras: Sequence[Camera], joints_m: np.ndarray) -> float:
+    """How many pixels pictures (h, w) cover on the hand's side of the wrist. joints_m: (P, 21, 3) of each"""
+    each = zip(alphas, cameras, joints_m, strict=True)
+    return sum(float((alpha * hand_side(camera, joints)).sum()) for alpha, camera, joints in each)

@@ -8,9 +8,12 @@ import torch
 from motion_errors import motion_errors
 from shaped_films import CANONICAL_M, PRIOR, film
 
+from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.hand.rotations import vector_rotation
 from jghand_engine.hand.sequence import bone_directions
+from jghand_engine.native.library import load as load_native
 from jghand_engine.own import fit_surface
 from jghand_engine.own.fit_surface import FitSurface, outline_factor
 from jghand_engine.own.fit_terms import guides
@@ -19,6 +22,7 @@ from jghand_engine.own.hand_fit import RATES, Effort, FitPictures, FittedHand, H
 from jghand_engine.own.masks import wrist_side
 from jghand_engine.own.shape import SHAPE_COUNT
 from jghand_engine.render.camera import Camera
+from jghand_engine.render.detail import DetailedHand, SurfaceHits
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.template.builtin import load_template
 from jghand_engine.track.poses import Poses
@@ -101,27 +105,28 @@ def test_every_group_has_the_gradient_of_its_costs(exact, name, monkeypatch):
 
 
 @pytest.mark.parametrize("factor", [1, 2, 4])
-def test_outlines_of_few_gaussians_in_small_pictures_have_the_size_of_the_whole_hands(factor):
+def test_outlines_of_few_gaussians_in_small_pictures_have_the_size_of_the_skins_surface(factor):
     """At three sizes of the fit's pictures."""
-    truth = film()
+    truth, prior = film(), load_builtin(handedness=Handedness.RIGHT).prefix(2000)
     camera = Camera(384, 640, 472.0, 472.0, 192.0, 320.0, np.eye(4))
     joints = torch.from_numpy(truth.joints_m[[0, 3]]).float()
     views = [view_of(camera, np.zeros(2), np.array([384.0, 640.0]), 2 * factor)] * 2
-    surface = FitSurface(PRIOR, 1000)
+    surface = FitSurface(prior, 1000)
 
-    def area(hand: FitSurface, view_camera: Camera, size: float) -> float:
-        posed, side = hand.posed(joints, None, hand.keep(joints)), wrist_sides(view_camera)
-        pictures = [hand.draw(posed, row, view_camera, hand.hand.rgb, size).alpha for row in range(2)]
-        return sum(float((picture * one).sum()) for picture, one in zip(pictures, side, strict=True))
-
-    def wrist_sides(view_camera: Camera) -> torch.Tensor:
+    def sides(view_camera: Camera) -> np.ndarray:
         pixels = view_camera.project(truth.joints_m[[0, 3]])[0]
-        return torch.from_numpy(wrist_side(pixels, view_camera.width, view_camera.height))
+        return wrist_side(pixels, view_camera.width, view_camera.height)
 
-    few = area(surface, views[0].camera, outline_factor(PRIOR, surface, joints, views)) * (2 * factor) ** 2
-    whole = area(FitSurface(PRIOR, 0), camera.scaled(2), 1.0) / 4
-    assert few == pytest.approx(whole, rel=5e-3)
-    assert area(surface, views[0].camera, 1.0) * (2 * factor) ** 2 > 1.02 * whole
+    def area(size: float) -> float:
+        posed = surface.posed(joints, None, surface.keep(joints))
+        pictures = [surface.draw(posed, row, views[0].camera, surface.hand.rgb, size).alpha.numpy() for row in range(2)]
+        return float((np.stack(pictures) * sides(views[0].camera)).sum()) * (2 * factor) ** 2
+
+    hits, fine = SurfaceHits(load_native("auto"), DetailedHand.of(prior, 0.0)), camera.scaled(4)
+    met = [np.isfinite(hits(prior.skeleton().bones(one), fine)[1]) for one in truth.joints_m[[0, 3]]]
+    whole = float((np.stack(met) & sides(fine)).sum()) / 4**2
+    assert area(outline_factor(prior, surface, joints, views)) == pytest.approx(whole, rel=5e-3)
+    assert area(1.0) > 1.02 * whole
 
 
 def test_what_lies_beyond_the_wrist_changes_no_number():
