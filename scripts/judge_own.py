@@ -2,6 +2,7 @@
 
     python scripts/judge_own.py --films films                           every film in the folder that has its truth
     python scripts/judge_own.py --films films --photographs --exact     also five photographs, and joints that are known
+    python scripts/judge_own.py --films films --built-in                also the built-in hand, in the film's light
     python scripts/judge_own.py --films films --faults                  also what is told of films with a fault
     python scripts/judge_own.py --films films --page docs/OWN_HAND.md   puts the tables into the page
 
@@ -50,17 +51,20 @@ from jghand_engine.track.video import open_video, read_frames
 # seconds of a film at which it shows what is to be photographed: palm, back, the thumb's side, a fist from both sides
 PHOTOGRAPHED_S = (1.0, 7.8, 5.3, 2.9, 9.7)
 AVATAR = {"film": "own", "photographs": "photographs", "exact": "exact"}
+BUILT_IN, TINTED = "built-in", "built-in, tinted"
 
 
 @dataclass(frozen=True)
 class Options:
     """films: folder of folders with film.mp4, truth.npz and capture/ · photographs: also five pictures of each film ·
-    exact: also with joints and masks that are known, of the shape that the film gave · faults: also what a look at the
-    films without capture/ tells, before any fit · page: gets the tables"""
+    exact: also with joints and masks that are known, of the shape that the film gave · built_in: also what is won over
+    the built-in hand, see `built_in_hands` · faults: also what a look at the films without capture/ tells, before any
+    fit · page: gets the tables"""
 
     films: Path
     photographs: bool = False
     exact: bool = False
+    built_in: bool = False
     faults: bool = False
     page: Path | None = None
 
@@ -70,8 +74,9 @@ class Judged:
     """What an avatar of a film is worth.
 
     whole, cut:   PSNR in dB and SSIM of held-out pictures, and of the hand's box alone · within_db: within its mask
+    flip:         perceived difference in the box, 0..1; None without the extra `metrics`
     iou:          of outlines, held out
-    motion:       the fit's errors, see MotionErrors; None where it was given the truth
+    motion:       the fit's errors, see MotionErrors; None where it was given the truth, and of the built-in hand
     masks:        mean and worst overlap with the true ones; None where they are given
     fitted_db:    of pictures of the film that no skin was made of, whole, cut and within the mask, in poses that were
                   fitted to them: what papers on hands from films print (UHM, HARP); None of photographs, and where the
@@ -82,11 +87,12 @@ class Judged:
     whole: tuple[float, float]
     cut: tuple[float, float]
     within_db: float
+    flip: float | None
     iou: float
-    motion: MotionErrors | None
-    masks: tuple[float, float] | None
-    fitted_db: tuple[float, float, float] | None
-    seconds: tuple[float, float] | None
+    motion: MotionErrors | None = None
+    masks: tuple[float, float] | None = None
+    fitted_db: tuple[float, float, float] | None = None
+    seconds: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -122,11 +128,13 @@ class Truth:
         return Truth(Camera(*size, *lens, np.eye(4)), self.joints_m, np.stack(masks))
 
 
-def held_out_scores(avatar: HandAvatar, folder: Path, gain: float) -> list[dict[str, float]]:
-    """Of each held-out picture of a film's capture. gain: of the film's exposure"""
+def held_out(avatar: HandAvatar, folder: Path) -> Judged:
+    """What an avatar with the light of a film is worth on the pictures that its capture holds out."""
     response = avatar.learned and avatar.learned.response
     if response is None or response.film_light is None:
         raise SystemExit(f"{folder}: its avatar has no light of a film")
+    with np.load(folder / "truth.npz") as stored:
+        gain = float(np.median(stored["gain"]))
     draw, light, found = AvatarPicturer(avatar, preset("final")), SceneLight(World.of_cells(response.film_light)), []
     for sample in split_capture(open_capture(folder / "capture"), to_learn=False).test:
         truth, camera = load_image(sample), sample.camera
@@ -134,34 +142,45 @@ def held_out_scores(avatar: HandAvatar, folder: Path, gain: float) -> list[dict[
         straight = truth.rgb / np.maximum(truth.mask, 1e-3)[..., None]
         exposed = linear_to_srgb(np.clip(gain * srgb_to_linear(straight), 0, 1)) * truth.mask[..., None]
         found.append(side_scores(displayed(draw.in_light(sample, light)), exposed, truth.mask >= 0.5, side))
-    return found
+    mean = {figure: float(np.mean([one[figure] for one in found])) for figure in found[0]}
+    return Judged(
+        (mean["psnr_full"], mean["ssim_full"]), (mean["psnr_box"], mean["ssim_box"]), mean["psnr_mask"],
+        mean.get("flip_box"), mean["iou"],
+    )  # fmt: skip
+
+
+def built_in_hands(folder: Path) -> dict[str, HandAvatar]:
+    """The built-in hand in the light found in a film, as it is, and with the mean albedo of the film's skin: what the
+    lengths of bones, which come with the joints, are worth alone."""
+    hand, own = load_builtin(handedness=Handedness.RIGHT), load_avatar(folder / f"{AVATAR['film']}.jghand")
+    assert hand.learned is not None
+    assert hand.learned.response is not None
+    assert own.learned is not None
+    assert own.learned.response is not None
+    response = replace(hand.learned.response, film_light=own.learned.response.film_light)
+    lit = replace(hand, learned=replace(hand.learned, response=response))
+    tinted = replace(lit, rgb=np.clip(lit.rgb * (own.rgb.mean(0) / lit.rgb.mean(0)), 0, 1))
+    return {BUILT_IN: lit, TINTED: tinted}
 
 
 def judge(folder: Path, name: str, seconds: tuple[float, float] | None = None) -> Judged:
     """What lies beside a film as `name`.jghand, and its work folder."""
-    work, known = folder / f"{name}.own", name == AVATAR["exact"]
-    with np.load(folder / "truth.npz") as stored:
-        gain = float(np.median(stored["gain"]))
-    each = held_out_scores(load_avatar(folder / f"{name}.jghand"), folder, gain)
-    mean = {figure: float(np.mean([one[figure] for one in each])) for figure in each[0]}
+    work = folder / f"{name}.own"
+    judged = replace(held_out(load_avatar(folder / f"{name}.jghand"), folder), seconds=seconds)
+    if name == AVATAR["exact"]:
+        return judged
     report = json.loads((work / "report.json").read_text(encoding="utf-8"))["mean"]
-    motion = masks = fitted_db = None
-    if not known:
-        if report:
-            fitted_db = report["psnr_full"], report["psnr_box"], report["psnr_mask"]
-        fitted, pictures = FittedHand.load(work / FIT), FilmPictures.load(work / PICTURES)
-        whole = Truth.of(folder, pictures)
-        shrunk = shrunk_by(work, whole.camera)
-        truth = whole.within(fitted.camera, shrunk)
-        motion = motion_errors(fitted.joints_m, fitted.camera.fx * shrunk, whole.joints_m, whole.camera.fx)
-        with np.load(work / MASKS) as stored:
-            ours = stored["hand"]
-        overlap = (ours & truth.masks).sum((1, 2)) / (ours | truth.masks).sum((1, 2))
-        masks = float(overlap.mean()), float(overlap.min())
-    return Judged(
-        (mean["psnr_full"], mean["ssim_full"]), (mean["psnr_box"], mean["ssim_box"]), mean["psnr_mask"], mean["iou"],
-        motion, masks, fitted_db, seconds,
-    )  # fmt: skip
+    fitted_db = (report["psnr_full"], report["psnr_box"], report["psnr_mask"]) if report else None
+    fitted, pictures = FittedHand.load(work / FIT), FilmPictures.load(work / PICTURES)
+    whole = Truth.of(folder, pictures)
+    shrunk = shrunk_by(work, whole.camera)
+    truth = whole.within(fitted.camera, shrunk)
+    motion = motion_errors(fitted.joints_m, fitted.camera.fx * shrunk, whole.joints_m, whole.camera.fx)
+    with np.load(work / MASKS) as stored:
+        ours = stored["hand"]
+    overlap = (ours & truth.masks).sum((1, 2)) / (ours | truth.masks).sum((1, 2))
+    masks = float(overlap.mean()), float(overlap.min())
+    return replace(judged, motion=motion, masks=masks, fitted_db=fitted_db)
 
 
 def shrunk_by(work: Path, camera: Camera) -> float:
@@ -258,6 +277,8 @@ def main(options: Options) -> None:
                 seconds = json.loads(kept.read_text(encoding="utf-8"))["seconds"]
             rows[folder.name, kind] = judge(folder, AVATAR[kind], seconds)
             kept.write_text(json.dumps(asdict(rows[folder.name, kind]), indent=1) + "\n", encoding="utf-8")
+        if options.built_in and (folder.name, "film") in rows:
+            rows |= {(folder.name, kind): held_out(hand, folder) for kind, hand in built_in_hands(folder).items()}
     text = f"{held_out_table(rows)}\n\n{fit_table(rows)}"
     if refused:
         text += f"\n\nRefused: {'; '.join(refused)}"
@@ -270,12 +291,12 @@ def main(options: Options) -> None:
 
 def held_out_table(rows: dict[tuple[str, str], Judged]) -> str:
     """Of pictures that were held out."""
-    header = ("film", "made from", "whole, dB / SSIM", "cut to the hand", "within the mask, dB", "outline IoU",
-              "pose fitted, whole / cut / within, dB")  # fmt: skip
+    header = ("film", "made from", "whole, dB / SSIM", "cut to the hand", "its FLIP", "within the mask, dB",
+              "outline IoU", "pose fitted, whole / cut / within, dB")  # fmt: skip
     cells = [
         (
             name, kind, f"{one.whole[0]:.1f} / {one.whole[1]:.3f}", f"{one.cut[0]:.1f} / {one.cut[1]:.3f}",
-            f"{one.within_db:.1f}", f"{one.iou:.3f}",
+            "" if one.flip is None else f"{one.flip:.3f}", f"{one.within_db:.1f}", f"{one.iou:.3f}",
             " / ".join(f"{figure:.1f}" for figure in one.fitted_db or ()),
         )
         for (name, kind), one in rows.items()

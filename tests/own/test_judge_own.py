@@ -96,6 +96,16 @@ def test_the_tables_have_a_line_for_each_hand(folder, capsys):
     assert json.loads((folder / "own.judged.json").read_text())["fitted_db"] == [30, 25, 24]
 
 
+def test_the_built_in_hand_has_lines_of_its_own_in_its_color_and_in_the_films(folder, capsys):
+    reddish = replace(lit(PRIOR), rgb=PRIOR.rgb * np.array([0.9, 0.4, 0.3], np.float32))
+    save_avatar(folder / "own.jghand", reddish)
+    hands = judge_own.built_in_hands(folder)
+    np.testing.assert_allclose(hands["built-in, tinted"].rgb.mean(0), reddish.rgb.mean(0), rtol=1e-3)
+    judge_own.main(judge_own.Options(folder.parent, built_in=True))
+    said = [line.split("|")[2].strip() for line in capsys.readouterr().out.splitlines() if line.startswith("| man |")]
+    assert said == ["film", "built-in", "built-in, tinted", "film"]
+
+
 def refusing(monkeypatch, error: Exception) -> None:
     def run(_: judge_own.Own) -> None:
         raise error
