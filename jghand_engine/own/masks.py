@@ -51,8 +51,9 @@ STILL_NOISE_MAX = 8.0
 # how far the background moves between pictures, of the width; features that must agree on it
 CAMERA_STEP_PART_MAX, FEATURES_MIN = 0.01, 8
 GRABCUT_ROUNDS = 2
-# specks that an opening with a cross of so many pixels removes; holes of less than this part of the picture are filled
-OPENING_PX, HOLE_PART = 3, 6e-4
+# specks that an opening with a cross of so many pixels removes; holes of less than this part of the picture are filled,
+# and those of which more than this part is bones, such as a tattoo on the back
+OPENING_PX, HOLE_PART, MARK_PART = 3, 6e-4, 0.2
 
 _KNUCKLES = slice(2, 6)
 # bones, and the line through the knuckles
@@ -272,13 +273,13 @@ def hand_masks(pictures: FilmPictures, zones: Zones) -> np.ndarray:
     if background is not None and not background.still:
         background = None
     masks = []
-    each = zip(pictures.rgb_u8, zones.outline, zones.band, zones.side, moved, strict=True)
-    for rgb, outline, band, side, elsewhere in each:
+    each = zip(pictures.rgb_u8, zones.outline, zones.band, zones.bones, zones.side, moved, strict=True)
+    for rgb, outline, band, bones, side, elsewhere in each:
         # whatever the forearm looks like, a sleeve included, the hand's mask is the same
         shown = np.where(side[..., None], rgb, colors.wall_rgb)
         known = None if elsewhere else background
         odds = _log_odds(_seen_colors(shown), colors, known) + OUTLINE_ODDS * (outline - 0.5)
-        masks.append(_cleaned(_cut(shown, odds, band & side) & side))
+        masks.append(_cleaned(_cut(shown, odds, band & side) & side, bones))
     return np.stack(masks)
 
 
@@ -316,17 +317,18 @@ def _cut(rgb8: np.ndarray, odds: np.ndarray, band: np.ndarray) -> np.ndarray:
     return cut
 
 
-def _cleaned(mask: np.ndarray) -> np.ndarray:
-    """Without specks and small holes, and in one piece."""
+def _cleaned(mask: np.ndarray, bones: np.ndarray) -> np.ndarray:
+    """Without specks, small holes and holes that bones cross, and in one piece. bones: (H, W) bool, see Zones"""
     cv2 = opencv()
     # an even one would shift the mask
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (OPENING_PX, OPENING_PX))
     opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, cross)
-    _, holes, facts, _ = cv2.connectedComponentsWithStats(1 - opened, connectivity=4)
-    small = facts[:, cv2.CC_STAT_AREA] < HOLE_PART * mask.size
+    count, holes, facts, _ = cv2.connectedComponentsWithStats(1 - opened, connectivity=4)
+    area = facts[:, cv2.CC_STAT_AREA]
+    filled = (area < HOLE_PART * mask.size) | (np.bincount(holes[bones], minlength=count) > MARK_PART * area)
     # number 0 is the mask itself
-    small[0] = False
-    opened |= small[holes].astype(np.uint8)
+    filled[0] = False
+    opened |= filled[holes].astype(np.uint8)
     count, pieces, facts, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
     return pieces == 1 + facts[1:, cv2.CC_STAT_AREA].argmax() if count > 1 else opened > 0
 

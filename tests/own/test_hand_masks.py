@@ -36,6 +36,23 @@ def test_a_hand_of_one_color_on_a_wall_of_another_is_found_to_the_pixel_and_twic
     assert np.array_equal(found, hand_masks(film, zones))
 
 
+def test_a_large_mark_on_the_palm_is_skin_and_a_gap_between_fingers_is_not():
+    joints_px, zones = zoned()
+    film = film_of(joints_px, SKIN)
+    rgb, (x, y) = film.rgb_u8.copy(), joints_px[0, :6].mean(0).astype(int)
+    across = int(0.06 * hand_size_px(joints_px)[0])
+    mark = np.s_[y - across : y + across, x - across : x + across]
+    rgb[0][mark] = (20, 30, 160)
+    assert 4 * across**2 > HOLE_PART * rgb[0, ..., 0].size
+    found = hand_masks(replace(film, rgb_u8=rgb), zones)
+    assert found[0][mark].all()
+    # the same hole where the detector saw no skin
+    ring = np.ones((40, 40), bool)
+    ring[10:30, 10:30] = False
+    assert not masks._cleaned(ring, np.zeros_like(ring))[20, 20]
+    assert masks._cleaned(ring, ~ring)[20, 20]
+
+
 def test_the_color_of_the_forearm_changes_no_pixel_of_the_masks():
     joints_px, zones = zoned()
     found = []
