@@ -5,7 +5,7 @@
     python scripts/show_skin.py --out docs/skin.jpg --views sheet --size 180x200 --samples 12 --levels 2 --texels 1024
 
 Half a minute of one core for the maps, and one for each view of 480x270 at 12 rays. The sheet shows what each number of
-a person does, low, usual and high: seventeen persons, a minute each.
+a person does: nineteen persons, a minute each.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ VIEWS = {
     "wrist_back": ("open", 185, 0, (0,), 0.110),
 }
 DISTANCE_M = 0.5
-# what the sheet shows of each number: where it is seen, low, and high; of seeds two others
+# what the sheet shows of each number: where it is seen, and two values beside the usual one
 SHEET = {
     "melanin": ("back", 0.05, 1.3),
     "blood": ("palm", 0.1, 0.9),
@@ -60,6 +60,7 @@ SHEET = {
     "freckles": ("back", 0.0, 1.0),
     "dryness": ("knuckle", 0.0, 1.0),
     "nail_mm": ("nail", 0.0, 3.0),
+    "hair": ("back", 0.5, 1.0),
     "seed": ("lines", 1, 2),
 }
 # one small key high on the left of the palm's side and one of the back's over a weak world: light that shows relief
@@ -99,12 +100,12 @@ def row(options: Options, size: tuple[int, int]) -> np.ndarray:
 
 
 def sheet(options: Options, size: tuple[int, int]) -> np.ndarray:
-    """Each number of SHEET low, usual and high, two numbers a row."""
+    """Each number of SHEET at three values from low to high, two numbers a row."""
     views = tuple(dict.fromkeys(view for view, _, _ in SHEET.values()))
     usual = dict(zip(views, pictures(replace(options, views=views), options.person, size), strict=True))
     cells = []
     for name, (view, low, high) in SHEET.items():
-        for value in (low, getattr(options.person, name), high):
+        for value in sorted((low, getattr(options.person, name), high)):
             person = replace(options.person, **{name: value})
             is_usual = person == options.person
             shown = usual[view] if is_usual else pictures(replace(options, views=(view,)), person, size)[0]

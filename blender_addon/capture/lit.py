@@ -56,6 +56,7 @@ class LitScene(Scene):
         cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
 
     def picture(self, job: dict, camera: dict, scratch: Path) -> dict[str, bytes]:
+        self._show(job["pose"], camera)
         box = self._frame(job["pose"], camera)
         planes = self.planes(job, camera, scratch)
         alpha = np.clip(planes[SUM][..., 3], 0, 1)
@@ -85,9 +86,12 @@ class LitScene(Scene):
         return {group: _pixels(next(scratch.glob(f"{group}*.exr"))) for group in (*self._groups, SUM)}
 
     def _frame(self, pose: int, camera: dict) -> tuple[int, int, int, int]:
-        """Renders only where the hand is: left, top, right, bottom, pixels."""
+        """Renders only where the hand and its hair are: left, top, right, bottom, pixels."""
         matrix = np.array(camera["camera_from_world"])
-        seen = self._vertices(pose) @ matrix[:3, :3].T + matrix[:3, 3]
+        shown_m = self._vertices(pose)
+        if self._hair:
+            shown_m = np.concatenate([shown_m, self._hair.places_m])
+        seen = shown_m @ matrix[:3, :3].T + matrix[:3, 3]
         px = seen[:, :2] / seen[:, 2:] * [camera["fx"], camera["fy"]] + [camera["cx"], camera["cy"]]
         width, height = camera["width"], camera["height"]
         left, top = (max(math.floor(low) - MARGIN_PX, 0) for low in px.min(0))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene of a capture: one hand whose vertices change from pose to pose, its skin, the light and one camera; and
-finished pictures with their stamp."""
+"""The scene of a capture: one hand whose vertices change from pose to pose, its skin and hair, the light and one
+camera; and finished pictures with their stamp."""
 
 import struct
 import zlib
@@ -34,14 +34,15 @@ class Scene:
 
     def __init__(self, plan: dict, folder: Path, threads: int) -> None:
         bpy.ops.wm.read_factory_settings(use_empty=True)
-        self._scene = bpy.context.scene
+        self._scene, look = bpy.context.scene, plan["skin"]
         with np.load(folder / "hands.npz", allow_pickle=False) as arrays:
             rig = arrays["vertices_m"]
             # (P, V, 4): vertices, and how bent the skin is. They are gigabytes, read pose by pose
             self._poses = np.load(folder / "mesh.npy", mmap_mode="r", allow_pickle=False)
             self._mesh = _mesh(self._vertices(0), arrays, self._scene)
+            self._hair = _Hair(look["hair_rgb"], folder, arrays["faces"], self._scene) if "hair_rgb" in look else None
         self._mesh.attributes.new(BENT, "FLOAT", "POINT")
-        self._mesh.materials.append(_skin(plan["skin"], folder))
+        self._mesh.materials.append(_skin(look, folder))
         if "hdri" in plan["light"]:
             _light(plan["light"], folder, rig, self._scene)
         self._camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
@@ -64,6 +65,8 @@ class Scene:
             self._mesh.vertices.foreach_set("co", self._vertices(pose).reshape(-1))
             self._mesh.attributes[BENT].data.foreach_set("value", np.array(self._poses[pose, :, 3]))
             self._mesh.update()
+            if self._hair:
+                self._hair.follow(self._mesh, self._vertices(pose))
             self._pose = pose
         self._aim(camera)
 
@@ -100,6 +103,43 @@ def _mesh(vertices: np.ndarray, arrays, scene):
     hand = bpy.data.objects.new("hand", mesh)
     scene.collection.objects.link(hand)
     return mesh
+
+
+class _Hair:
+    """Strands as curves whose points stand on faces of the skin. places_m: (N, 3) of the points"""
+
+    def __init__(self, rgb: list[float], folder: Path, faces: np.ndarray, scene) -> None:
+        strands = np.load(folder / "hair.npy", allow_pickle=False)
+        face, second, third, self._rise_m, radius_m = strands.reshape(-1, 5).T
+        self._corners = faces[face.astype(np.int64)]
+        self._shares = np.stack([1 - second - third, second, third], 1)[..., None]
+        self._curves = bpy.data.hair_curves.new("hair")
+        self._curves.add_curves([strands.shape[1]] * len(strands))
+        self._curves.attributes.new("radius", "FLOAT", "POINT").data.foreach_set("value", np.array(radius_m))
+        self._curves.materials.append(_hair_material(rgb))
+        scene.collection.objects.link(bpy.data.objects.new("hair", self._curves))
+
+    def follow(self, mesh, vertices_m: np.ndarray) -> None:
+        """Puts the strands on the mesh, whose vertices are these (V, 3)."""
+        normals = np.empty_like(vertices_m)
+        mesh.vertex_normals.foreach_get("vector", normals.reshape(-1))
+        outwards = (self._shares * normals[self._corners]).sum(1)
+        outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+        self.places_m = (self._shares * vertices_m[self._corners]).sum(1) + self._rise_m[:, None] * outwards
+        self._curves.position_data.foreach_set("vector", self.places_m.reshape(-1))
+        self._curves.update_tag()
+
+
+def _hair_material(rgb: list[float]):
+    material = bpy.data.materials.new("hair")
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.remove(tree.nodes["Principled BSDF"])
+    strand = tree.nodes.new("ShaderNodeBsdfHairPrincipled")
+    strand.parametrization = "COLOR"
+    strand.inputs["Color"].default_value = (*rgb, 1.0)
+    tree.links.new(strand.outputs["BSDF"], tree.nodes["Material Output"].inputs["Surface"])
+    return material
 
 
 def _skin(look: dict, folder: Path):

@@ -1,8 +1,9 @@
-"""The skin of a person as Cycles is given it: a fine mesh in each pose, and pictures of color, surface and relief.
+"""The skin of a person as Cycles is given it: a fine mesh in each pose, pictures of color, surface and relief, hair.
 
 skin.png      reflectance, sRGB
 surface.png   red: roughness, green: how far it is nail
 relief_*.png  16 bit, one for each of `FINE_LAYERS`: meters are low_m + value * range_m
+hair.npy      (S, K, 5) float32, where there is hair: strands from root to tip, see `Hair.attached`
 mesh.npy      (P, V, 4) float32: the mesh, world, meters, and how bent the joint near each vertex is, 0..1; a pose of
               100,000 vertices takes 1.6 MB, so that it is written, and read, one by one
 """
@@ -22,6 +23,7 @@ from PIL import Image
 
 from jghand_engine.captures.making.rig import Identity
 from jghand_engine.captures.skin.canvas import MM
+from jghand_engine.captures.skin.hair import Hair
 from jghand_engine.captures.skin.maps import FINE_LAYERS, SkinMaps, paint_skin
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.skin.surface import SkinSurface
@@ -30,7 +32,7 @@ from jghand_engine.color import linear_to_srgb, to_bytes
 # edge of the maps: 0.16 mm of skin per texel, as fine as a pixel of a hand that fills 1080 lines
 MAP_PX = 2048
 PERSON_FILES = ("skin.png", "surface.png", *(f"relief_{layer}.png" for layer in FINE_LAYERS))
-MESH_FILE = "mesh.npy"
+MESH_FILE, HAIR_FILE = "mesh.npy", "hair.npy"
 # how far light scatters in pale skin, meters; melanin takes it, up to this part of the way, from this amount on
 SCATTER_M, SCATTER_TAKEN, SCATTER_DARK = 0.0026, 0.45, 0.83
 
@@ -55,7 +57,12 @@ class PersonSkin:
         coarse = b"".join(np.ascontiguousarray(maps.coarse[name]).tobytes() for name in sorted(maps.coarse))
         material["coarse"] = hashlib.sha256(coarse).hexdigest()
         files = dict(zip(PERSON_FILES, _pictures(maps, low_m, range_m), strict=True))
-        return cls(SkinSurface(identity, levels, maps), material, files)
+        surface = SkinSurface(identity, levels, maps)
+        if person.hair:
+            hair, stream = Hair.of(identity, person), io.BytesIO()
+            np.save(stream, hair.attached(surface.smooth(identity.vertices_m), surface.faces))
+            material["hair_rgb"], files[HAIR_FILE] = hair.rgb.tolist(), stream.getvalue()
+        return cls(surface, material, files)
 
     def write_mesh(self, path: Path, vertices_m: np.ndarray, joints_m: np.ndarray) -> None:
         """Writes MESH_FILE of the rig's vertices (P, v, 3) and joints (P, 21, 3) level order, pose by pose."""

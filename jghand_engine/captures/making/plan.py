@@ -33,9 +33,10 @@ from jghand_engine.captures.making.close_ups import plan_close_ups
 from jghand_engine.captures.making.closing import Closing
 from jghand_engine.captures.making.lights import LIGHTS_FILE, VariedLight, lights_bytes, plan_lights
 from jghand_engine.captures.making.options import CaptureOptions, Light, is_file
-from jghand_engine.captures.making.person_skin import MESH_FILE, PERSON_FILES, PersonSkin
+from jghand_engine.captures.making.person_skin import HAIR_FILE, MESH_FILE, PERSON_FILES, PersonSkin
 from jghand_engine.captures.making.poses import varied_poses
 from jghand_engine.captures.making.rig import RiggedHand, RigPose, identity_name, load_identity
+from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.splits import SPLITS_FILE, SPLITS_FORMAT
 from jghand_engine.errors import InputError
 from jghand_engine.files import file_error, make_folder, read_bytes, sync, write_file, writing
@@ -321,7 +322,8 @@ def read_plan(folder: Path) -> CapturePlan | None:
         if came != wanted:
             raise InputError(thing, wanted=f"a mesh of {wanted}", came=str(came), remedy=remedy)
         lit_by = [LIGHTS_FILE, *light["skies"]] if "lights" in light else [light["hdri"]]
-        names = [*PERSON_FILES, *(name for name in lit_by if is_file(str(name)))]
+        hair = [HAIR_FILE] if "hair_rgb" in content["render"]["skin"] else []
+        names = [*PERSON_FILES, *hair, *(name for name in lit_by if is_file(str(name)))]
         files = {name: (folder / FOLDER / name).read_bytes() for name in names}
         return CapturePlan(
             content["options"], content["render"], tuple(content["poses"]), hands["joints_m"], hands["vertices_m"],
@@ -390,8 +392,10 @@ def _opened(folder: Path, options: CaptureOptions) -> CapturePlan | None:
 
 
 def _named(description: dict[str, Any]) -> dict[str, Any]:
-    """The same, with the hand's name: it may be called by its number too."""
-    return {**description, "identity": identity_name(str(description.get("identity")))}
+    """The same, with the hand's name, which may be called by its number too, and all numbers of its person: captures
+    of before have no `hair`."""
+    person = dataclasses.asdict(Person()) | description.get("skin", {})
+    return {**description, "identity": identity_name(str(description.get("identity"))), "skin": person}
 
 
 def _of_motion(hand: RiggedHand, motion: PoseSequence, count: int) -> tuple[tuple[str, ...], RigPose]:

@@ -17,6 +17,7 @@ from jghand_engine.captures.skin.color import paint_color, paint_roughness
 from jghand_engine.captures.skin.creases import paint_creases
 from jghand_engine.captures.skin.curves import PalmCurves
 from jghand_engine.captures.skin.flesh import paint_flesh
+from jghand_engine.captures.skin.hair import Hair
 from jghand_engine.captures.skin.nails import paint_nails
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.skin.relief import paint_relief
@@ -45,9 +46,9 @@ class SkinMaps:
     fine: dict[str, np.ndarray]
 
 
-def paint_skin(identity: Identity, size: int, person: Person) -> SkinMaps:
+def paint_skin(identity: Identity, size: int, person: Person, hair: Hair | None = None) -> SkinMaps:
     """The maps with an edge of `size` texels: 2048 (0.16 mm on the skin) shows all but friction ridges, which want
-    4096. The same to the bit for the same person."""
+    4096. The same to the bit for the same person. hair: painted on it, where no curves are drawn"""
     canvas = painted(identity, size, person)
     covered = canvas.texels.covered
     row, column = np.asarray(distance_transform_edt(~covered, return_distances=False, return_indices=True))
@@ -57,11 +58,14 @@ def paint_skin(identity: Identity, size: int, person: Person) -> SkinMaps:
         square[covered] = values
         return square[row, column]
 
+    rgb = paint_color(canvas)
+    if hair:
+        rgb = hair.painted(canvas, rgb)
     heights = {name: spread(height) for name, height in canvas.heights.items()}
     sigma = COARSE_MM / canvas.texels.texel_mm
     coarse = {name: gaussian_filter(height, sigma) for name, height in heights.items()}
     return SkinMaps(
-        rgb=spread(paint_color(canvas)),
+        rgb=spread(rgb),
         roughness=spread(paint_roughness(canvas)),
         plate=spread(canvas.amounts["plate"]),
         coarse=coarse,

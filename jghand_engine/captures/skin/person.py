@@ -1,4 +1,4 @@
-"""A person's skin: eight numbers from which all its maps follow, and the law of its color.
+"""A person's skin: nine numbers from which all its maps follow, and the law of its color.
 
 A file of a person is JSON with some of the numbers, {"melanin": 0.9, "age": 0.7, "seed": 4}; one that is left out has
 its default.
@@ -39,10 +39,12 @@ RANGES = {
     "freckles": (0.0, 1.0),
     "dryness": (0.0, 1.0),
     "nail_mm": (0.0, 3.0),
+    "hair": (0.0, 1.0),
     "seed": (0.0, 2.0**31 - 1),
 }
-# ages of persons drawn by a seed: Beta(2, 3), most of them young or in the middle; spreads of the other numbers
-DRAWN_AGE = (2.0, 3.0)
+# ages of persons drawn by a seed: Beta(2, 3), most of them young or in the middle; hair: evenly between these, and who
+# is below 0, every second person, has none; spreads of the other numbers
+DRAWN_AGE, DRAWN_HAIR = (2.0, 3.0), (-1.0, 1.0)
 DRAWN_SPREAD = {"blood": 0.06, "warmth": 0.08, "freckles": 0.20, "dryness": 0.15, "nail_mm": 0.5}
 
 
@@ -56,7 +58,8 @@ class Person:
     freckles: part of the back that has them
     dryness:  0 moist and glossy to 1 matt, whitish on the ridges
     nail_mm:  free edge of the nails beyond their beds, millimeters
-    seed:     of every line, vein, freckle and ridge
+    hair:     on the back of hand and first phalanges: none to all of the places that have a strand, see hair.py
+    seed:     of every line, vein, freckle, ridge and strand
     """
 
     melanin: float = 0.14
@@ -66,6 +69,7 @@ class Person:
     freckles: float = 0.25
     dryness: float = 0.40
     nail_mm: float = 1.0
+    hair: float = 0.0
     seed: int = 0
 
     def check(self, thing: str = "person") -> None:
@@ -93,10 +97,11 @@ class Person:
 
     @classmethod
     def drawn(cls, seed: int) -> Person:
-        """Anybody: a tone of the Monk scale, an age, and the rest normal about the defaults."""
+        """Anybody: a tone of the Monk scale, an age, hair or none, and the rest normal about the defaults."""
         rng = np.random.default_rng((seed, 9))
         numbers = {name: getattr(cls, name) + spread * rng.standard_normal() for name, spread in DRAWN_SPREAD.items()}
         numbers |= {"melanin": float(rng.choice(MONK_MELANIN)), "age": float(rng.beta(*DRAWN_AGE))}
+        numbers["hair"] = float(rng.uniform(*DRAWN_HAIR))
         return cls(**{name: float(np.clip(value, *RANGES[name])) for name, value in numbers.items()}, seed=seed)
 
 

@@ -35,9 +35,13 @@ class SkinSurface:
         """Posed joints (P, 21, 3), level order -> (P, V) 0..1, how bent the joint near each vertex is."""
         return (self._bend.of_joints(joints_m) @ self._bend.near.T).astype(np.float32)
 
+    def smooth(self, vertices_m: np.ndarray) -> np.ndarray:
+        """The coarse mesh posed (v, 3) -> (V, 3), not moved by any height."""
+        return self._matrix @ vertices_m
+
     def posed(self, vertices_m: np.ndarray, bent: np.ndarray) -> np.ndarray:
         """The coarse mesh posed (v, 3), and one row of `bent` -> (V, 3)."""
-        smooth_m = self._matrix @ vertices_m
+        smooth_m = self.smooth(vertices_m)
         of = self._heights_m
         height_m = of["static"] + (1 - bent) * of["straight"] + bent * of["bent"] + (1 + bent / 2) * of["fold"]
         return smooth_m + height_m[:, None] * vertex_normals(smooth_m, self.faces)

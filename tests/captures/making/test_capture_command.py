@@ -426,6 +426,31 @@ def test_a_person_gives_a_capture_its_skin_and_another_person_is_another_capture
     assert "the plan of the capture" in capsys.readouterr().err
 
 
+def test_hair_is_in_the_plan_and_in_the_stamps_of_its_pictures(tmp_path):
+    one = CaptureOptions("3", cameras=1, close_ups=0, poses=2, width=32, height=48, sampling=COARSE)
+    hairy = dataclasses.replace(one, skin=Person(hair=0.5))
+    made, bare = open_or_make(tmp_path / "hairy", hairy), open_or_make(tmp_path / "bare", one)
+    opened = open_or_make(tmp_path / "hairy", hairy)
+    assert [opened.stamp(pose, 0) for pose in (0, 1)] == [made.stamp(pose, 0) for pose in (0, 1)]
+    assert opened.stamp(0, 0) != bare.stamp(0, 0)
+    # all else of their skin is the same to the bit
+    assert {name: made.files[name] for name in bare.files} == bare.files
+    assert set(made.files) - set(bare.files) == {person_skin.HAIR_FILE}
+    strands = np.load(tmp_path / "hairy" / "plan" / person_skin.HAIR_FILE)
+    assert strands[..., 0].max() < len(made.faces)
+    (tmp_path / "hairy" / "plan" / person_skin.HAIR_FILE).unlink()
+    with pytest.raises(InputError, match=r"hair\.npy"):
+        read_plan(tmp_path / "hairy")
+
+
+def test_a_capture_that_was_begun_before_persons_had_hair_goes_on(copied):
+    file = copied / "plan" / "plan.json"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    del content["options"]["skin"]["hair"]
+    file.write_text(json.dumps(content), encoding="utf-8")
+    assert capture(copied, "--finished-only") == 0
+
+
 PERSON_OPTIONS = CaptureOptions(
     "3", cameras=1, close_ups=0, poses=2, width=32, height=48, sampling=Sampling(subdivisions=1)
 )

@@ -1,4 +1,4 @@
-"""A person's eight numbers, and the colors that follow."""
+"""A person's nine numbers, and the colors that follow."""
 
 import dataclasses
 import json
@@ -41,6 +41,12 @@ def test_a_seed_draws_the_same_person_and_another_seed_another():
     assert dataclasses.replace(Person.drawn(8), seed=7) != Person.drawn(7)
     for seed in range(50):
         Person.drawn(seed).check()
+
+
+def test_every_second_person_that_is_drawn_has_hair():
+    hair = np.array([Person.drawn(seed).hair for seed in range(200)])
+    assert 0.4 < (hair > 0).mean() < 0.6
+    assert 0.4 < hair[hair > 0].mean() < 0.6
 
 
 def test_a_file_gives_some_of_the_numbers(tmp_path):
