@@ -43,6 +43,7 @@ from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.validation import as_text
 from jghand_engine.captures.making.person_skin import MAP_PX
 from jghand_engine.captures.making.rig import load_identity
+from jghand_engine.captures.skin.hair import Hair
 from jghand_engine.captures.skin.maps import FINE_LAYERS, SkinMaps, paint_skin
 from jghand_engine.captures.skin.noise import smoothstep
 from jghand_engine.captures.skin.person import Person
@@ -170,7 +171,8 @@ def kept_maps(folder: Path, identity: str, person: Person, texels: int) -> SkinM
     text = json.dumps([identity, dataclasses.asdict(person), texels], sort_keys=True)
     file = folder / f"{hashlib.sha256(text.encode()).hexdigest()[:16]}.npz"
     if not file.is_file():
-        maps = paint_skin(load_identity(identity, forearm=True), texels, person)
+        hand = load_identity(identity, forearm=True)
+        maps = paint_skin(hand, texels, person, Hair.of(hand, person))
         arrays = {"rgb": maps.rgb, "roughness": maps.roughness, "plate": maps.plate}
         arrays |= {f"coarse_{name}": height for name, height in maps.coarse.items()}
         arrays |= {f"fine_{name}": height for name, height in maps.fine.items()}
