@@ -2,6 +2,7 @@
 
 import io
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -39,16 +40,23 @@ def strands_m(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     return place_m + rise_m[..., None] * outwards, outwards
 
 
-def brightness(plan: dict, folder: Path, camera: dict, scratch: Path) -> np.ndarray:
-    """(H, W) of the traced picture."""
+def traced(plan: dict, folder: Path, camera: dict, scratch: Path) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) brightness of a picture, and its box."""
     scratch.mkdir()
     job = {"pose": 0, "camera": 0, "light": "0/400000", "stamp": "0123456789"}
     npz = lit.LitScene(plan["render"], folder, 1).picture(job, camera, scratch)[".npz"]
     shown = np.zeros((camera["height"], camera["width"]))
     with np.load(io.BytesIO(npz)) as picture:
-        left, top, right, bottom = picture["box_px"]
+        left, top, right, bottom = box_px = picture["box_px"]
         shown[top:bottom, left:right] = picture["groups"].astype(float).sum(0).mean(-1)
-    return shown
+    return shown, box_px
+
+
+def seen_px(points_m: np.ndarray, camera: dict) -> np.ndarray:
+    """(N, 3) -> (N, 2) column and row."""
+    matrix = np.array(camera["camera_from_world"])
+    seen = points_m @ matrix[:3, :3].T + matrix[:3, 3]
+    return seen[:, :2] / seen[:, 2:] * camera["fx"] + [camera["cx"], camera["cy"]]
 
 
 def test_the_picture_is_darker_along_strands_and_the_same_beside_them(plan_folder, tmp_path):
@@ -67,15 +75,29 @@ def test_the_picture_is_darker_along_strands_and_the_same_beside_them(plan_folde
         "width": EDGE_PX, "height": EDGE_PX, "fx": focal, "fy": focal, "cx": EDGE_PX / 2, "cy": EDGE_PX / 2,
         "camera_from_world": camera_from_world.tolist(),
     }  # fmt: skip
-    hairy = brightness(plan, plan_folder, camera, tmp_path / "hairy")
+    hairy, _ = traced(plan, plan_folder, camera, tmp_path / "hairy")
     del plan["render"]["skin"]["hair_rgb"]
-    bare = brightness(plan, plan_folder, camera, tmp_path / "bare")
+    bare, _ = traced(plan, plan_folder, camera, tmp_path / "bare")
     # the thicker half of strands on skin that faces the camera
-    seen = (points_m[:, :5][outwards[:, :5] @ away > 0.8] @ rotation.T) + camera_from_world[:3, 3]
-    column, row = np.floor(seen[:, :2] / seen[:, 2:] * focal + EDGE_PX / 2).astype(int).T
+    column, row = np.floor(seen_px(points_m[:, :5][outwards[:, :5] @ away > 0.8], camera)).astype(int).T
     inside = (np.minimum(column, row) >= 0) & (np.maximum(column, row) < EDGE_PX)
     ratio, on = hairy / bare, np.zeros((EDGE_PX, EDGE_PX), bool)
     on[row[inside], column[inside]] = True
     # observed 0.89, and 0.99 of all pixels
     assert np.median(ratio[on]) < 0.92
     assert np.median(ratio) == pytest.approx(1, abs=0.02)
+
+
+def test_the_box_of_a_picture_has_all_of_its_hair(plan_folder, tmp_path):
+    """... of hair that stands 5 cm off the skin."""
+    folder = Path(shutil.copytree(plan_folder, tmp_path / "plan"))
+    strands = np.load(folder / "hair.npy")
+    strands[..., 3] *= 0.05 / strands[..., 3].max()
+    np.save(folder / "hair.npy", strands)
+    plan = json.loads((folder / "plan.json").read_text(encoding="utf-8"))
+    camera = plan["cameras"][0]
+    _, (left, top, right, bottom) = traced(plan, folder, camera, tmp_path / "long")
+    points_px = seen_px(strands_m(folder)[0].reshape(-1, 3), camera)
+    size = [camera["width"], camera["height"]]
+    inside = points_px[((points_px >= 0) & (points_px < size)).all(1)]
+    assert ((inside >= [left, top]) & (inside <= [right, bottom])).all()

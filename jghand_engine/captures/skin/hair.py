@@ -21,7 +21,7 @@ from jghand_engine.template.subdivision import Subdivision
 # roots on a square millimeter where hair is densest, of a hand of usual size: with it 300 to 450 strands before the
 # wrist, on any identity
 PER_MM2 = 0.075
-# edge of the map of where hair grows: texels of 0.6 mm
+# edge of the map of where hair grows: texels of 0.7 mm
 WHERE_PX = 512
 # points of a strand: turns of a few degrees from one to the next
 POINTS = 8
@@ -71,30 +71,25 @@ class Hair:
         canvas = Canvas.of(identity, WHERE_PX, person)
         fine = Subdivision.of(identity.faces, identity.face_uv, TEXEL_LEVELS)
         skin = fine.faces[: identity.skin_face_count * 4**TEXEL_LEVELS]
-        ground = _Ground(fine.matrix @ identity.vertices_m / MM, skin)
-        rng = canvas.random("hair")
-        count = int(PER_MM2 * ground.area.sum() / canvas.size**2)
-        face = rng.choice(len(skin), count, p=ground.area / ground.area.sum())
-        across, along = np.sqrt(rng.random(count)), rng.random(count)
-        shares = np.stack([1 - across, across * (1 - along), across * along], 1)
-        chance, shape = rng.random(count), rng.random((count, 2))
-        heading_deg, turn_deg = rng.normal(size=(2, count)) * [[HEADING_DEG], [TURN_DEG]]
-        root = ground.points(face, shares)
+        ground, rng = _Ground(fine.matrix @ identity.vertices_m / MM, skin), canvas.random("hair")
+        area = ground.area.sum()
+        count = int(PER_MM2 * area / canvas.size**2)
+        face = rng.choice(len(skin), count, p=ground.area / area)
+        across, along, chance, long, steep = rng.random((5, count))
+        to, turn = np.radians(rng.normal(size=(2, count)) * [[HEADING_DEG], [TURN_DEG]])
+        across = np.sqrt(across)
+        root = ground.points(face, np.stack([1 - across, across * (1 - along), across * along], 1))
         texel = np.asarray(KDTree(canvas.texels.point).query(root)[1])
         grows = chance < person.hair * _density(canvas)[texel]
+        step = (LENGTH_MM[0] + long[grows] * np.ptp(LENGTH_MM)) / (POINTS - 1)
+        heading = _turned(_along(canvas)[texel[grows]], ground.normal[face[grows]], to[grows])
         place = [root[grows]]
-        heading, turn = _along(canvas)[texel[grows]], np.radians(turn_deg[grows]) / (POINTS - 1)
-        first, shape = np.radians(heading_deg[grows]), shape[grows]
-        length = LENGTH_MM[0] + shape[:, 0] * (LENGTH_MM[1] - LENGTH_MM[0])
-        normal = ground.normal[face[grows]]
-        heading = _turned(heading, normal, first)
         for _ in range(POINTS - 1):
-            onto, shares = ground.places(place[-1] + (length / (POINTS - 1))[:, None] * heading)
+            onto, shares = ground.places(place[-1] + step[:, None] * heading)
             place.append(ground.points(onto, shares))
-            heading = _turned(heading, ground.normal[onto], turn)
-        steep = np.radians(STEEP_DEG[0] + shape[:, 1] * (STEEP_DEG[1] - STEEP_DEG[0]))
-        left = steep[:, None] * np.linspace(1, STEEP_LEFT, POINTS - 1)
-        rise = np.cumsum((length / (POINTS - 1))[:, None] * np.tan(left), 1)
+            heading = _turned(heading, ground.normal[onto], turn[grows] / (POINTS - 1))
+        steep = np.radians(STEEP_DEG[0] + steep[grows] * np.ptp(STEEP_DEG))
+        rise = np.cumsum(step[:, None] * np.tan(steep[:, None] * np.linspace(1, STEEP_LEFT, POINTS - 1)), 1)
         return cls(np.stack(place, 1), np.column_stack([np.zeros(len(rise)), rise]), hair_rgb(person))
 
     def attached(self, vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:

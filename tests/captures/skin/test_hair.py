@@ -85,14 +85,14 @@ def test_strands_have_their_length_lie_on_the_skin_and_point_away_from_the_thumb
     assert length.min() > 0.99 * min(LENGTH_MM)
     assert length.max() < 1.01 * max(LENGTH_MM)
     off_mm = KDTree(canvas.texels.point).query(hair.place_mm.reshape(-1, 3))[0]
-    # texels lie on the skin: observed up to 1.22 from the next middle of one
+    # from the middle of the nearest texel, which lies on the skin: observed up to 1.18 of its edge
     assert off_mm.max() < 1.3 * canvas.texels.texel_mm
     assert (hair.rise_mm[:, 0] == 0).all()
     assert (np.diff(hair.rise_mm, axis=1) > 0).all()
     assert hair.rise_mm.max() < 0.4 * max(LENGTH_MM)
     whole = hair.place_mm[:, -1] - hair.place_mm[:, 0]
     on_back = (hair.place_mm[:, 0, 1] > 10) & (hair.place_mm[:, 0, 1] < 65)
-    # observed 0.89 to 0.94, and 0.98 to 1
+    # observed 0.91 to 0.94, and 0.98 to 1
     assert (whole[on_back, 0] < 0).mean() > 0.85
     assert (whole[on_back, 1] > 0).mean() > 0.95
 
