@@ -64,7 +64,7 @@ TRAINED = ("adult_woman", Person())
 FAMILY = {
     "elder": ("old_person", Person(0.05, 0.40, 0.28, age=0.95, freckles=0.45, dryness=0.65, nail_mm=0.8, seed=12)),
     "child": ("child", Person(0.08, 0.50, 0.25, age=0.0, freckles=0.30, dryness=0.20, nail_mm=0.5, seed=11)),
-    "man": ("adult_man", Person(0.18, 0.48, 0.30, age=0.45, freckles=0.20, dryness=0.50, nail_mm=0.6, seed=13)),
+    "man": ("adult_man", Person(0.18, 0.48, 0.3, age=0.45, freckles=0.2, dryness=0.5, nail_mm=0.6, hair=0.9, seed=13)),
     "slender": ("slim_woman", Person(0.28, 0.40, 0.38, age=0.20, freckles=0.10, dryness=0.30, nail_mm=2.2, seed=14)),
     "long": ("long_fingers", Person(0.45, 0.42, 0.35, age=0.30, freckles=0.10, dryness=0.40, nail_mm=1.0, seed=15)),
     "strong": ("big_man", Person(0.90, 0.45, 0.35, age=0.50, freckles=0.05, dryness=0.55, nail_mm=0.6, seed=17)),
