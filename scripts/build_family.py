@@ -81,7 +81,8 @@ DISTANCE_M, BACKGROUND = 0.8, (0.80, 0.79, 0.78)
 # of a cell's height, from its lower edge, the part over which an arm fades: none is cut off
 ARM_FADES = 0.17
 # the light of pictures, the same on both sides: a wide lamp on the camera's left and above it, whose light falls across
-# the relief, and a dim sky. W/(m2 sr), meters, and from the middle of the hand to it where a camera sees the palm
+# the relief, and a dim sky, which leave the palest hand below white and the darkest above black. W/(m2 sr), meters, and
+# from the middle of the hand to the lamp where a camera sees the palm
 KEY_RGB, KEY_SIZE_M, KEY_AWAY_M = (19.0, 18.1, 16.6), (0.22, 0.22), (-0.31, 0.26, 0.29)
 SKY = 0.75
 

@@ -28,6 +28,7 @@ from PIL import Image
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.file import load_avatar, save_avatar
+from jghand_engine.avatar.relighting import covered_mean, thrown_back
 from jghand_engine.avatar.scene_light import SceneLight, World
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.sample import load_image
@@ -159,8 +160,9 @@ def built_in_hands(folder: Path) -> dict[str, HandAvatar]:
     assert own.learned.response is not None
     response = replace(hand.learned.response, film_light=own.learned.response.film_light)
     lit = replace(hand, learned=replace(hand.learned, response=response))
-    tinted = replace(lit, rgb=np.clip(lit.rgb * (own.rgb.mean(0) / lit.rgb.mean(0)), 0, 1))
-    return {BUILT_IN: lit, TINTED: tinted}
+    rgb = np.clip(lit.rgb * (covered_mean(own, own.rgb) / covered_mean(lit, lit.rgb)), 0, 1).astype(np.float32)
+    response = replace(response, bounce=thrown_back(lit, rgb))
+    return {BUILT_IN: lit, TINTED: replace(lit, rgb=rgb, learned=replace(hand.learned, response=response))}
 
 
 def judge(folder: Path, name: str, seconds: tuple[float, float] | None = None) -> Judged:

@@ -106,10 +106,11 @@ def as_person(avatar: HandAvatar, own: Somebody, other: Somebody) -> HandAvatar:
     before, after = (sample_bilinear(one.blurred(one.maps.rgb, COLOR_FOOTPRINT_MM), uv) for one in (own, other))
     rgb = (avatar.rgb * (after / before)).clip(*RGB_LIMITS).astype(np.float32)
     rgb = np.where(after == before, avatar.rgb, rgb)
-    response = replace(_response(learned.response, own, other, uv), bounce=thrown_back(avatar, rgb))
-    learned = _with_even_gloss(avatar, learned, response)
-    shaped = other_shape(replace(avatar, rgb=rgb, learned=learned), own, other)
-    return replace(shaped, own_joints_m=other.identity.joints_m)
+    even = _with_even_skin(avatar, learned, _response(learned.response, own, other, uv))
+    shaped = other_shape(replace(avatar, rgb=rgb, learned=even), own, other)
+    assert even.response is not None
+    response = replace(even.response, bounce=thrown_back(shaped, rgb))
+    return replace(shaped, learned=replace(even, response=response), own_joints_m=other.identity.joints_m)
 
 
 def other_shape(avatar: HandAvatar, own: Somebody, other: Somebody) -> HandAvatar:
@@ -136,7 +137,7 @@ def _skin_m(one: Somebody) -> np.ndarray:
     return surface.posed(one.identity.vertices_m, surface.bent(one.identity.joints_m[None])[0])
 
 
-def _with_even_gloss(avatar: HandAvatar, learned: Learned, response: SkinResponse) -> Learned:
+def _with_even_skin(avatar: HandAvatar, learned: Learned, response: SkinResponse) -> Learned:
     """With this response, its roughness and reflectance, and the normals, as means of those around each Gaussian: what
     they differ in from one to the next is chance, which the gloss of dark skin shows as gray blotches."""
     normal = learned.normal

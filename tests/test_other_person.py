@@ -83,6 +83,7 @@ def test_palm_and_back_have_the_colors_of_the_other_persons_maps(avatar, child, 
 def test_dark_skin_throws_less_light_back_and_lets_it_less_deep(avatar, other):
     before, after = avatar.learned.response, other.learned.response
     assert (after.bounce < 0.6 * thrown_back(avatar, avatar.rgb)).all()
+    np.testing.assert_allclose(after.bounce, thrown_back(other, other.rgb), rtol=1e-5)
     assert (after.softness < before.softness).all()
     np.testing.assert_allclose(np.median(after.roughness - before.roughness), 0.05, atol=1e-3)
 

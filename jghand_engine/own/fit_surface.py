@@ -134,7 +134,7 @@ def outline_factor(prior: HandAvatar, surface: FitSurface, joints_m: Tensor, vie
     """
     joints = joints_m.double().numpy()
     finer = [view.camera.scaled(FINE * view.factor) for view in views]
-    shown = HandRenderer(prior, replace(preset("final"), threads=1))
+    shown = HandRenderer(prior.for_hand(Handedness.RIGHT), replace(preset("final"), threads=1))
     alphas = (shown.render(one, camera).rgba[..., 3] for one, camera in zip(joints, finer, strict=True))
     wanted = _covered(map(torch.from_numpy, alphas), finer, joints) / FINE**2
     cameras, posed = [view.camera for view in views], surface.posed(joints_m, None, surface.keep(joints_m))

@@ -37,7 +37,7 @@ SMOOTH_WEIGHT, SMOOTH_ANGLE, SMOOTH_PLACE, SMOOTH_TURN, SMOOTH_FPS = 0.02, 6.0, 
 # lengths of bones as logarithms, shifts of the palm's first joints, shapes in standard deviations
 LENGTH_WEIGHT, LENGTH_SIGMA = 0.02, 0.07
 SHIFT_WEIGHT, SHIFT_SIGMA_M = 0.02, 0.003
-# with four times as much two films made thin hands, with a third as much one of them a thick one
+# the skin of two hands is nearest to the true one with this; more makes hands thin, less makes one of them thick
 SHAPE_WEIGHT = 0.0015
 # pictures of the flat hand square to the camera, which are the ruler: angles and the palm's slope there
 GUIDE_WEIGHT, GUIDE_ANGLE_SIGMA_RAD, GUIDE_SLOPE_SIGMA = 0.1, math.radians(8.0), 0.2

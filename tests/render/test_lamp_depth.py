@@ -200,6 +200,12 @@ def test_a_lamp_takes_no_picture_for_a_hand_that_it_does_not_light():
         assert [weights_of(frame, hand) for hand in (0, 1)] == [(weight,) for weight in wanted]
 
 
+def test_a_lamp_that_lights_only_a_hand_out_of_the_picture_is_not_called_for():
+    for lamp, runs in ((SUN, True), (replace(SUN, hands=(1,)), False)):
+        renderer = SceneRenderer([AVATAR, AVATAR], FINAL, SceneLight(DIM, (lamp,)))
+        assert plan_of(renderer.render([FIST, FIST + np.array([9.0, 0, 0])], view())).runs(Effect.LAMPS) == runs
+
+
 def weights_of(frame: Frame, hand: int = 0) -> tuple[float, ...]:
     """Per lamp how much of a picture counts."""
     return plan_of(frame).sharp[hand].weights if plan_of(frame).sharp else ()

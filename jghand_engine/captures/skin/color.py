@@ -28,6 +28,8 @@ MARKS_DARKEST, CREASES_DARKEST = 0.30, 0.9
 FRECKLES, SPOTS = (3.4, 0.25, 0.75, 0.8, 0.50), (8.0, 0.6, 2.9, 1.3, 0.0)
 # how far on a knuckle, whose wrinkles would make a blot of it, a spot begins to fade, and is gone
 NO_SPOTS = (0.05, 0.40)
+# how much darker than a freckle a spot of age is in its middle, as its edge fades over all of it
+SPOTS_DARKER = 1.9
 # age from which there are spots
 SPOTS_FROM_AGE = 0.45
 # blood as a part of the person's: everywhere, more on the palm, and at each mark
@@ -44,6 +46,8 @@ FURROWS_RGB = np.array([0.75, 1.0, 1.0])
 DRY, DRY_RGB = 0.035, np.array([1.0, 0.96, 0.90])
 # melanin of a nail's bed, of pale and of dark skin, as a part of the tone
 BED_MELANIN, DARK_BED_MELANIN = 0.30, 0.36
+# moons and free edges cover the bed in part, of dark skin less, or they would be white there
+MOON_SHOWS, LESS_OF_MOON, FREE_EDGE_SHOWS, LESS_OF_FREE_EDGE = 0.55, 0.20, 0.85, 0.25
 MOON_RGB, FREE_EDGE_RGB = np.array([0.74, 0.60, 0.54]), np.array([0.78, 0.73, 0.64])
 # behind the wrist, where the color of a pale palm ends, and how far from that it does, here and there
 PALE_FROM_TO_MM, PALE_UNEVEN_MM = (8.0, -62.0), 1.5
@@ -95,7 +99,7 @@ def _melanin(canvas: Canvas, palm: np.ndarray) -> np.ndarray:
     freckles = _spots(canvas, "freckles", FRECKLES, canvas.person.freckles)
     spots = _spots(canvas, "spots", SPOTS, max(0.0, canvas.person.age - SPOTS_FROM_AGE))
     spots *= 1 - smoothstep(*NO_SPOTS, of["knuckle"])
-    total += canvas.back * canvas.skin * (0.09 + 0.10 * tone) * (freckles + 1.9 * spots)
+    total += canvas.back * canvas.skin * (0.09 + 0.10 * tone) * (freckles + SPOTS_DARKER * spots)
     return total.clip(0, 2)
 
 
@@ -140,8 +144,12 @@ def _nails(canvas: Canvas) -> np.ndarray:
     streaks = 1 + 0.04 * noise(flat, 0.8, canvas.seed("nail streaks"))
     rgb = bed * (streaks * (1 + 0.06 * smoothstep(0.2, 0.95, x)))[:, None]
     for name, color, part in (
-        ("moon", MOON_RGB * (1 - 0.45 * min(1.0, person.melanin)), 0.55 - 0.20 * dark),
-        ("free_edge", FREE_EDGE_RGB * (1 - 0.25 * min(1.0, person.melanin)), 0.85 - 0.25 * dark),
+        ("moon", MOON_RGB * (1 - 0.45 * min(1.0, person.melanin)), MOON_SHOWS - LESS_OF_MOON * dark),
+        (
+            "free_edge",
+            FREE_EDGE_RGB * (1 - 0.25 * min(1.0, person.melanin)),
+            FREE_EDGE_SHOWS - LESS_OF_FREE_EDGE * dark,
+        ),
     ):
         rgb += part * of[name][:, None] * (color - rgb)
     band = gauss(x - 0.80 + 0.10 * y**2, 0.05) * (1 - of["free_edge"])

@@ -147,6 +147,12 @@ def test_nail_plates_lie_in_the_templates_mask(canvas):
     assert (canvas.amounts["free_edge"] > 0.5).any()
 
 
+def test_edges_of_nails_are_slopes_and_no_steps(maps):
+    """From texel to texel, which are larger than the edge itself in maps of this size."""
+    rises = np.concatenate([np.abs(np.diff(maps.plate, axis=axis)).ravel() for axis in (0, 1)])
+    assert np.median(rises[rises > 0.05]) < 0.5
+
+
 def test_each_number_changes_the_color_that_it_says(canvas):
     palm, back = canvas.side > 0.5, canvas.side < -0.5
 
