@@ -19,7 +19,7 @@ import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from ..core.joints import NAMES
 from ..core.view import BUILTIN_AVATAR, avatar_stamp
@@ -34,7 +34,8 @@ MEAN_ALBEDO = (0.50, 0.33, 0.25)
 # letters of a text on a card
 _TEXT_MAX = 300
 # what a hand file has of its skin: the part of its mean albedo that it throws onto itself, which is always this part
-_BOUNCE, _THROWN_BACK = "response.bounce", 0.8
+# where there is no ambient light; beside one, in files of other versions, it was learned
+_BOUNCE, _AMBIENT, _THROWN_BACK = "response.bounce", "response.ambient", 0.8
 # of hands that answer any light, by the kind of light that they learned in
 _IN_SCENE_LIGHT = {
     "known": "Lit by lamps and world",
@@ -187,13 +188,7 @@ def read_card(path: Path) -> Card:
             ends = [about["data_offsets"][1] for name, about in header.items() if name != "__metadata__"]
             if path.stat().st_size < 8 + length + max(ends, default=0):
                 raise _NoCardError("its end is missing")
-            albedo = None
-            if _BOUNCE in header:
-                file.seek(8 + length + header[_BOUNCE]["data_offsets"][0])
-                red, green, blue = (part / _THROWN_BACK for part in struct.unpack("<3f", file.read(12)))
-                albedo = red, green, blue
-                if not all(0 <= part <= 1 for part in albedo):  # false for NaN too
-                    raise _NoCardError("its skin has no color")
+            albedo = _albedo(file, header, 8 + length)
         written = time.strftime("%Y-%m-%d", time.localtime(path.stat().st_mtime))
         return _card(json.loads(header["__metadata__"]["jghand"]), written, albedo)
     except FileNotFoundError as error:
@@ -203,6 +198,21 @@ def read_card(path: Path) -> Card:
         of_rights = "it may not be read" if isinstance(error, PermissionError) else "its header cannot be read"
         reason = str(error) if isinstance(error, _NoCardError) else of_rights
         raise JGHandFailure("bad_avatar", f"{path}\n{reason}") from error
+
+
+def _albedo(file: IO[bytes], header: Mapping[str, Any], begin: int) -> tuple[float, float, float] | None:
+    """Mean of the skin, linear Rec.709; None where the file does not tell. begin: of the arrays, bytes"""
+    if not {_BOUNCE, _AMBIENT} <= header.keys():
+        return None
+    numbers = []
+    for name in (_BOUNCE, _AMBIENT):
+        file.seek(begin + header[name]["data_offsets"][0])
+        numbers.append(struct.unpack("<3f", file.read(12)))
+    bounce, ambient = numbers
+    if any(ambient) or not any(bounce) or not all(0 <= part < math.inf for part in bounce):  # false for NaN too
+        return None
+    red, green, blue = (min(part / _THROWN_BACK, 1.0) for part in bounce)
+    return red, green, blue
 
 
 def _card(about: Mapping[str, Any], written: str, albedo: tuple[float, float, float] | None) -> Card:

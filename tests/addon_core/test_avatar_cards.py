@@ -43,15 +43,39 @@ def test_the_color_of_a_hand_is_the_mean_of_its_skin_as_the_engine_has_it(file):
     assert read_card(ASSETS / file).albedo == pytest.approx(mean, rel=0.035)
 
 
-def test_a_skin_without_a_color_is_refused_and_one_that_is_not_known_has_that_of_skin(tmp_path):
-    content = (ASSETS / "builtin_right.jghand").read_bytes()
+def with_skin(path: Path, **numbers: tuple[float, float, float]) -> Path:
+    """The built-in hand with other `response` arrays."""
+    content = bytearray((ASSETS / "builtin_right.jghand").read_bytes())
     (length,) = struct.unpack("<Q", content[:8])
-    place = 8 + length + json.loads(content[8 : 8 + length])["response.bounce"]["data_offsets"][0]
-    (tmp_path / "a.jghand").write_bytes(content[:place] + struct.pack("<f", math.nan) + content[place + 4 :])
-    with pytest.raises(JGHandFailure, match="no color"):
-        read_card(tmp_path / "a.jghand")
-    unknown = write_avatar(tmp_path / "b.jghand", name="b", gaussians=7)
-    for avatar in ("painted", str(unknown), str(tmp_path / "a.jghand")):
+    header = json.loads(content[8 : 8 + length])
+    for name, values in numbers.items():
+        struct.pack_into("<3f", content, 8 + length + header[f"response.{name}"]["data_offsets"][0], *values)
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {"bounce": (0.4, math.nan, 0.2)},
+        {"bounce": (0.4, math.inf, 0.2)},
+        {"bounce": (0, 0, 0)},
+        # learned beside an ambient light, it is no part of the albedo
+        {"bounce": (0.4, 0.3, 0.2), "ambient": (0, 0.1, 0)},
+    ],
+)
+def test_a_hand_whose_file_does_not_tell_its_color_is_none_the_worse(tmp_path, numbers):
+    path = with_skin(tmp_path / "a.jghand", **numbers)
+    assert read_card(path).albedo is None
+    assert albedo_of(str(path)) == MEAN_ALBEDO
+
+
+def test_skin_is_no_brighter_than_white(tmp_path):
+    assert read_card(with_skin(tmp_path / "a.jghand", bounce=(0.9, 0.4, 0))).albedo == pytest.approx((1, 0.5, 0))
+
+
+def test_a_hand_of_unknown_color_has_that_of_skin(tmp_path):
+    for avatar in ("painted", str(write_avatar(tmp_path / "b.jghand", name="b", gaussians=7))):
         assert albedo_of(avatar) == MEAN_ALBEDO
     assert pytest.importorskip("jghand_engine.avatar.relighting").MEAN_ALBEDO == MEAN_ALBEDO
 
