@@ -174,7 +174,7 @@ def _renew(hand: bpy.types.Object, thing: bpy.types.Object | None, shape: _Shape
         forearm, color = hand.jghand.forearm and avatar_files.has_forearm(avatar), skin_rgb(avatar)
         made_from = _digest(shape, forearm, color)
         before = thing.data if thing is not None else None
-        mesh = before if before is not None and _fits(before, hand, made_from) else _mesh(hand, shape, forearm)
+        mesh = before if before is not None and _fits(before, hand, made_from) else _mesh(hand, shape, forearm, before)
     except JGHandFailure:  # joints that no hand has at rest: not to be told now
         return
     mine: bpy.types.Object = _new(hand, shape[0], mesh) if thing is None else thing
@@ -249,8 +249,9 @@ def _fits(mesh: bpy.types.Mesh, hand: bpy.types.Object, made_from: str) -> bool:
     )
 
 
-def _mesh(hand: bpy.types.Object, shape: _Shape, forearm: bool) -> bpy.types.Mesh:
-    """The surface of a hand, with a group for each bone. JGHandFailure: bad_joints."""
+def _mesh(hand: bpy.types.Object, shape: _Shape, forearm: bool, before: bpy.types.Mesh | None) -> bpy.types.Mesh:
+    """The surface of a hand, with a group for each bone, and the materials of the mesh before, which an artist may have
+    chosen. JGHandFailure: bad_joints."""
     side, joints, bones, ways = shape
     surface = surface_at(joints, side, forearm=forearm)
     has_bone = forearm and len(bones) > len(NAMES)
@@ -258,7 +259,9 @@ def _mesh(hand: bpy.types.Object, shape: _Shape, forearm: bool) -> bpy.types.Mes
     mesh = bpy.data.meshes.new(MATERIAL)
     mesh.from_pydata(surface.vertices, [], surface.faces)
     mesh.shade_smooth()
-    mesh.materials.append(_material())
+    own = _material()
+    for material in [own] if before is None else before.materials:
+        mesh.materials.append(material)
     carrier = bpy.data.objects.new(MATERIAL, mesh)  # groups and keys are a mesh's, and only objects make them
     for place, bone in enumerate(bones[: every.shape[1]]):
         group = carrier.vertex_groups.get(bone) or carrier.vertex_groups.new(name=bone)

@@ -314,6 +314,17 @@ def test_of_a_file_of_another_making_it_is_made_anew(extension, monkeypatch):
     assert before.isdisjoint(thing.data.session_uid for thing in hands.stand_ins_of(rig))
 
 
+def test_with_another_avatar_it_keeps_the_materials_that_the_artist_gave_it(extension):
+    hand = add_hand()
+    before, glove = only(hand).data, bpy.data.materials.new("glove")
+    before.materials[0] = glove
+    before.materials.append(None)
+    hand.jghand.avatar = "strong"
+    stand_ins.update()
+    assert list(only(hand).data.materials) == [glove, None]
+    np.testing.assert_allclose(only(hand).data[stand_ins.ALBEDO], stand_ins.skin_rgb(seen_hands.named("strong")))
+
+
 def test_linking_a_collection_brings_the_stand_in_of_its_file(extension, tmp_path):
     hand = add_hand()
     asset = bpy.data.collections.new("asset")
