@@ -45,6 +45,8 @@ MATERIAL = "JGHand Stand-In"
 _MAKING = b"3"
 # of a surface that mirrors like skin
 _ROUGHNESS, _SPECULAR = 0.5, 0.25
+# base color, linear, of a material that does not read its mesh's yet: in older files that of every hand
+_BASE_RGBA = np.array([0.50, 0.33, 0.25, 1.0], np.float32)
 # no color in Solid shading; only its color type *Single* shows it
 _INVISIBLE = (1.0, 1.0, 1.0, 0.0)
 # smallest weight that moves a vertex by more than a hundredth of a millimeter
@@ -296,18 +298,26 @@ def _add_palm(carrier: bpy.types.Object, hand: bpy.types.Object, vertices: np.nd
 
 
 def _material() -> bpy.types.Material:
-    known = bpy.data.materials.get(MATERIAL)
-    if known is not None and known.library is None:
-        return known
-    material = bpy.data.materials.new(MATERIAL)
-    material.diffuse_color = _INVISIBLE
-    tree = versions.ensure_tree(material)
-    skin: Any = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
-    color: Any = tree.nodes.new("ShaderNodeAttribute")
-    color.attribute_type, color.attribute_name = "OBJECT", ALBEDO
-    tree.links.new(color.outputs["Color"], skin.inputs["Base Color"])
-    skin.inputs["Roughness"].default_value, skin.inputs["Specular IOR Level"].default_value = _ROUGHNESS, _SPECULAR
+    """What stand-ins have at first: its color is the mesh's, unless an artist gave it another one."""
+    material: Any = bpy.data.materials.get(MATERIAL)
+    if material is None or material.library is not None:
+        material = bpy.data.materials.new(MATERIAL)
+        material.diffuse_color = _INVISIBLE
+        for skin in _skins(versions.ensure_tree(material)):
+            skin.inputs["Base Color"].default_value = _BASE_RGBA
+            skin.inputs["Roughness"].default_value = _ROUGHNESS
+            skin.inputs["Specular IOR Level"].default_value = _SPECULAR
+    for skin in () if material.node_tree is None else _skins(material.node_tree):
+        base, tree = skin.inputs["Base Color"], skin.id_data
+        if not base.is_linked and np.array_equal(base.default_value, _BASE_RGBA):
+            color = tree.nodes.new("ShaderNodeAttribute")
+            color.attribute_type, color.attribute_name = "OBJECT", ALBEDO
+            tree.links.new(color.outputs["Color"], base)
     return material
+
+
+def _skins(tree: bpy.types.NodeTree) -> list[Any]:
+    return [node for node in tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled"]
 
 
 def _remove(thing: bpy.types.Object) -> None:

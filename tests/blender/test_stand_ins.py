@@ -325,6 +325,20 @@ def test_with_another_avatar_it_keeps_the_materials_that_the_artist_gave_it(exte
     np.testing.assert_allclose(only(hand).data[stand_ins.ALBEDO], stand_ins.skin_rgb(seen_hands.named("strong")))
 
 
+@pytest.mark.parametrize(("rgba", "is_the_artists"), [((0.50, 0.33, 0.25, 1), False), ((0.50, 0.33, 0.26, 1), True)])
+def test_the_one_color_of_an_older_file_becomes_the_avatars_and_an_artists_stays(extension, rgba, is_the_artists):
+    hand = add_hand()
+    tree = only(hand).data.materials[0].node_tree
+    tree.nodes.remove(next(node for node in tree.nodes if node.bl_idname == "ShaderNodeAttribute"))
+    base = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled").inputs["Base Color"]
+    base.default_value = rgba
+    only(hand).data[stand_ins.MADE_FROM] = "another making"
+    for _ in range(2):
+        stand_ins.update()
+        assert base.is_linked != is_the_artists
+    assert len([node for node in tree.nodes if node.bl_idname == "ShaderNodeAttribute"]) == (not is_the_artists)
+
+
 def test_linking_a_collection_brings_the_stand_in_of_its_file(extension, tmp_path):
     hand = add_hand()
     asset = bpy.data.collections.new("asset")
