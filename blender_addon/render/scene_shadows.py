@@ -415,10 +415,8 @@ def _are_hit(
             cast(origin, way, length)[1]
             for origin, way, length in zip(origins.tolist(), along.tolist(), lengths.tolist(), strict=True)
         ]
-        hit[rows] = [normal is not None for normal in normals]
-        if from_behind:
-            outwards = np.array([normal or (0, 0, 0) for normal in normals]).reshape(-1, 3)
-            hit[rows] = (outwards * along).sum(-1) > 0
+        outwards = np.array([normal or (0, 0, 0) for normal in normals]).reshape(-1, 3)
+        hit[rows] = (outwards * along).sum(-1) > 0 if from_behind else outwards.any(-1)
     return hit
 
 
