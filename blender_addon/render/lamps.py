@@ -49,7 +49,9 @@ def in_view(
         local = space.local_view.as_pointer() if space.local_view is not None else 0
         view += [space.as_pointer(), local, space.show_object_viewport_light, space.use_local_collections]
         view += [getattr(space.shading, name) for name in _SHADING]
-    key = (*view, *map(armature.name_in_files, hands))
+    # light linking calls them by their names, and those that they instance
+    called = (armature.name_in_files(hand) for thing in hands for hand in (thing, *seen_hands.hands_below(thing)))
+    key = (*view, *called)
     if key not in _kept:
         _kept[key] = lamps_of(depsgraph, hands, space)
     return _kept[key]

@@ -324,6 +324,21 @@ def test_a_light_lights_those_hands_that_its_light_linking_picks_by_themselves_o
     assert not read(*hands[:2]).lamps
 
 
+def test_a_hand_of_an_instance_is_lit_by_the_name_that_it_has(extension, space):
+    bpy.ops.jghand.add_hand()
+    hand, collection = bpy.context.object, bpy.data.collections.new("hand")
+    collection.objects.link(hand)
+    instance = bpy.data.objects.new("instance", None)
+    instance.instance_type, instance.instance_collection = "COLLECTION", collection
+    bpy.context.scene.collection.objects.link(instance)
+    linked_to(add_light("POINT", **POINT), (hand, "INCLUDE"))
+    for name in ("one", "another"):
+        hand.name = name
+        bpy.context.view_layer.update()
+        (lamp,) = lamps.in_view(bpy.context.evaluated_depsgraph_get(), space, [instance]).lamps
+        assert lamp["receivers"] == (((name, ""),), True)
+
+
 def test_hands_do_not_shade_themselves_from_lamps_whose_shadows_they_do_not_throw(card):
     thing = add_light("POINT", **POINT)
     assert read(card).lamps[0]["has_shadow"]
