@@ -238,7 +238,7 @@ def picture_request(
         header["light"] = light.record_on(first.hands)
         if light.world is not None and light.picture is not None:
             header["kept"] = light.world["key"]
-            arrays[protocol.KEPT] = protocol.Array.of(np.ascontiguousarray(light.picture, "<f4"))
+            arrays[protocol.WORLD] = protocol.Array.of(np.ascontiguousarray(light.picture, "<f4"))
         if light.left is not None:
             arrays["left"], arrays["left_at"] = map(protocol.Array.of, (light.left, points_m()))
         if light.baked is not None:

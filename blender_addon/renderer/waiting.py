@@ -221,7 +221,7 @@ class Waiting:
             sent, kept, keeping = dict(arrays or {}), header.get("kept", ""), []
             if kept:
                 keeping = protocol.encode(
-                    {"kind": protocol.KEEP, "key": kept}, {protocol.KEPT: sent.pop(protocol.KEPT)}
+                    {"kind": protocol.KEEP, "key": kept}, {protocol.WORLD: sent.pop(protocol.WORLD)}
                 )
             pieces = protocol.encode({**header, "id": identity}, sent)
             return Call(identity, pieces, kept, keeping, slot, tag, droppable)

@@ -22,7 +22,7 @@ from jghand_engine.hand.wrist import unit_turns
 from jghand_engine.native import contract
 from jghand_engine.render.blur import Moment
 from jghand_engine.render.camera import Camera, Lens
-from jghand_engine.service.protocol import PAYLOAD_MAX_BYTES, Message
+from jghand_engine.service.protocol import PAYLOAD_MAX_BYTES, WORLD, Message
 
 # hands in one image; each costs as much as the first
 IMAGE_HANDS_MAX = 16
@@ -290,11 +290,11 @@ def _light(message: Message, hands: int) -> RequestedLight | None:
     if world is None:
         return RequestedLight(record, None, **at_points)
     text_of(world, "key")
-    came = message.arrays.get("world")
+    came = message.arrays.get(WORLD)
     if came is None or came.dtype != "<f4" or not _is_world(came.shape):
         wanted = f"float32 of rows, columns and 3, at most {WORLD_ROWS_MAX} x {WORLD_COLUMNS_MAX} pixels"
         raise InputError("array world", wanted=wanted, came="nothing" if came is None else f"{came.dtype} {came.shape}")
-    # its numbers are checked where it is new: it comes with every image
+    # its numbers are checked where its key is new
     return RequestedLight(record, np.asarray(came.view()), **at_points)
 
 

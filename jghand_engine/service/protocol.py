@@ -36,9 +36,9 @@ DTYPES = {"|u1": (1, "B"), "<i4": (4, "i"), "<i8": (8, "q"), "<f4": (4, "f"), "<
 # format letters under which the same types come out of numpy's and array's buffers
 _DTYPE_OF_FORMAT = {"B": "|u1", "i": "<i4", "q": "<i8", "l": f"<i{struct.calcsize('l')}", "f": "<f4", "d": "<f8"}
 
-# a message without a reply: the engine keeps its arrays until the next one, and gives them to each request whose header
-# has its `key` as `kept`; and the array of requests that is sent so
-KEEP, KEPT = "keep", "world"
+# a message without a reply, and its array: the engine keeps it until the next one, and gives it to each request whose
+# header has its `key` as `kept`
+KEEP, WORLD = "keep", "world"
 
 _LENGTH = struct.Struct("<I")
 _GREETING = struct.Struct(f"<{TOKEN_BYTES}sI")

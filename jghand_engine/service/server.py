@@ -209,7 +209,8 @@ class Server:
             while True:
                 message = protocol.receive(connection)
                 if message.header.get("kind") == protocol.KEEP:
-                    kept = message
+                    worlds = {name: array for name, array in message.arrays.items() if name == protocol.WORLD}
+                    kept = replace(message, arrays=worlds)
                 elif message.header.get("kind") != CANCEL:
                     knows = "kept" in message.header and message.header["kept"] == kept.header.get("key")
                     requests.put(replace(message, arrays=kept.arrays | message.arrays) if knows else message)

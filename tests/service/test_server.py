@@ -231,6 +231,10 @@ def test_a_world_is_kept_for_the_requests_that_know_it_by_its_key(engine):
         protocol.send(connection, {"kind": protocol.KEEP, "key": "sky"}, sky)
         assert asked(connection, "sky")["ok"]
         assert asked(connection, "sky")["ok"]
+        protocol.send(connection, {"kind": protocol.KEEP, "key": "sky"}, sky | picture_arrays())
+        lit = {"light": {"lamps": [], "world": {"key": "sky"}}, "kept": "sky"}
+        assert not answer(connection, PICTURE | lit, {}).header["ok"]  # it keeps no other array
+        assert asked(connection, "sky")["ok"]
         assert "array world" in asked(connection, "noon")["error"]["sentence"]
         assert asked(connection, "noon", sky)["ok"]
         protocol.send(connection, {"kind": protocol.KEEP, "key": "noon"}, sky)
