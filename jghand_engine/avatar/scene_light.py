@@ -208,10 +208,10 @@ class Lamp:
             row[NUMBER[name]] = value
         return row
 
-    @property
-    def black(self) -> Lamp:
-        """The same without light."""
-        return replace(self, rgb=(0.0, 0.0, 0.0))
+    def on_hand(self, place: int) -> Lamp:
+        """As it lights one hand of an image: black where it lights others alone."""
+        is_lit = self.hands is None or place in self.hands
+        return replace(self, rgb=self.rgb if is_lit else (0.0, 0.0, 0.0), hands=None)
 
     @cached_property
     def sides(self) -> np.ndarray:
@@ -266,14 +266,12 @@ class SceneLight:
 
     def on_hand(self, place: int) -> SceneLight:
         """As it falls on one hand of an image, each time the very same: lamps that light others alone are black."""
-        is_lit = [lamp.hands is None or place in lamp.hands for lamp in self.lamps]
-        if self.shades is None and self.baked is None and all(is_lit):
+        if self.shades is None and self.baked is None and all(lamp.hands is None for lamp in self.lamps):
             return self
         if place not in self._on_hands:
-            pairs = zip(self.lamps, is_lit, strict=True)
             self._on_hands[place] = replace(
                 self,
-                lamps=self.lamps if all(is_lit) else tuple(lamp if lit else lamp.black for lamp, lit in pairs),
+                lamps=tuple(lamp.on_hand(place) for lamp in self.lamps),
                 shades=self.shades and Shades(self.shades.left[place : place + 1]),
                 baked=self.baked and Baked(self.baked.field[place : place + 1]),
             )

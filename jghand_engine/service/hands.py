@@ -125,7 +125,9 @@ class HandImages:
     def render(self, request: ImageRequest, canceled: Callable[[], bool] = never) -> RenderedImage:
         """All hands in one image: their Gaussians are drawn together, so that hands may interlock. A request's world
         is the one of the renderer, in which trained hands have their light."""
-        light = None if request.light is None else self._on_hands(self._light(request.light), request)
+        light = (
+            None if request.light is None else self._on_hands(self._light(request.light, len(request.hands)), request)
+        )
         renderer = self._renderer(request, light)
 
         def check() -> None:
@@ -152,9 +154,9 @@ class HandImages:
         finally:
             self.doing = ""
 
-    def _light(self, wanted: RequestedLight) -> SceneLight:
-        """The light of a request; the very same one as long as it is asked for in the same words, so that what was
-        drawn in it is known again."""
+    def _light(self, wanted: RequestedLight, hands: int) -> SceneLight:
+        """The light of a request for so many hands; the very same one as long as it is asked for in the same words, so
+        that what was drawn in it is known again."""
         words = json.dumps(wanted.record, sort_keys=True)
         if words not in self._lights:
             record, world = JsonObject(wanted.record, _wrong), None
@@ -164,7 +166,11 @@ class HandImages:
                 self._lights.popitem(last=False)
             self._lights[words] = light_of(lamps_of(record), world)
         self._lights.move_to_end(words)
-        return self._lights[words]
+        light = self._lights[words]
+        beyond = [place for lamp in light.lamps for place in lamp.hands or () if place >= hands]
+        if beyond:
+            raise _wrong("hands of a lamp", f"numbers of hands of the image, below {hands}", beyond[0])
+        return light
 
     def _on_hands(self, light: SceneLight, request: ImageRequest) -> SceneLight:
         """The light, less what the scene's things take of it, and with what was baked; the very same one for the same

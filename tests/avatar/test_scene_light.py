@@ -429,6 +429,14 @@ def test_the_shadow_of_a_thing_falls_where_its_anchors_are():
     assert second[up_m < -0.01].mean() > 0.98 * bare[up_m < -0.01].mean()
 
 
+def test_on_one_hand_a_lamp_that_lights_it_is_as_one_that_lights_all():
+    sun = LAMPS["sun"]
+    light = SceneLight(None, (replace(sun, hands=(1,)), sun))
+    dark, lit = light.on_hand(0).lamps, light.on_hand(1).lamps
+    assert lit == (sun, sun)
+    assert dark == (replace(sun, rgb=(0.0, 0.0, 0.0)), sun)
+
+
 def test_light_that_was_baked_takes_the_place_of_lamps_and_world_on_matt_skin_alone():
     """Of two hands each has its own; what skin mirrors stays that of the lamps, and so does the next light."""
     bones, hand = bones_of(AVATAR), with_response(AVATAR, reflectance=np.zeros(len(AVATAR), np.float32))

@@ -425,6 +425,7 @@ WRONG_LIGHTS = {
     "a sun without a direction": (told(SUN, place_m=[0, 0, 0]), None, "lamp.*direction"),
     "a lamp of an unknown kind": (told(SUN, kind="bulb"), None, "lamp 2.*kind"),
     "a lamp in watts": (told(SUN, watts=4), None, "watts"),
+    "a lamp of a hand that is not there": (told(SUN, hands=[0, 1]), None, "hands of a lamp.*below 1, got 1"),
     "a lamp of a hand without a number": (told(SUN, hands=["right"]), None, "lamp 2.*hands.*whole numbers"),
 }  # fmt: skip
 
