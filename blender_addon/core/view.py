@@ -165,22 +165,16 @@ class SceneLight:
     left: np.ndarray | None = None
     baked: np.ndarray | None = None
 
-    @property
-    def record(self) -> dict[str, Any]:
-        """As the engine takes it, beside the picture; equal for equal lights. All lamps light all hands."""
-        ours = (BLOCKERS, RECEIVERS)
-        lamps = [{name: value for name, value in lamp.items() if name not in ours} for lamp in self.lamps]
-        return {"lamps": lamps, "world": self.world}
-
-    def record_on(self, hands: Sequence[HandInSpace]) -> dict[str, Any]:
-        """The same, with the numbers of those of these hands that a lamp lights, where that is not all."""
-        record = self.record
-        for lamp, sent in zip(self.lamps, record["lamps"], strict=True):
+    def record(self, hands: Sequence[HandInSpace] = ()) -> dict[str, Any]:
+        """As the engine takes it, beside the picture; equal for equal lights. A lamp has the numbers of those of these
+        hands that it lights, where that is not all."""
+        lamps = []
+        for lamp in self.lamps:
+            sent = {name: value for name, value in lamp.items() if name not in (BLOCKERS, RECEIVERS)}
             picked = lamp.get(RECEIVERS, EVERYTHING)
             lit = [place for place, hand in enumerate(hands) if is_picked(hand.called, picked)]
-            if len(lit) < len(hands):
-                sent["hands"] = lit
-        return record
+            lamps.append(sent if len(lit) == len(hands) else {**sent, "hands": lit})
+        return {"lamps": lamps, "world": self.world}
 
     @cached_property
     def key(self) -> str:
@@ -235,7 +229,7 @@ def picture_request(
             numbers["forearms"] = [[(1, 0, 0, 0) if turn is None else turn for turn in of] for of in turns]
     arrays = {name: protocol.Array.of(np.array(values, "<f8")) for name, values in numbers.items()}
     if light is not None:
-        header["light"] = light.record_on(first.hands)
+        header["light"] = light.record(first.hands)
         if light.world is not None and light.picture is not None:
             header["kept"] = light.world["key"]
             arrays[protocol.WORLD] = protocol.Array.of(np.ascontiguousarray(light.picture, "<f4"))

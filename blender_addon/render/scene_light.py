@@ -231,7 +231,7 @@ def save(depsgraph: bpy.types.Depsgraph, path: Path) -> None:
     measure(depsgraph)
     light = of_render(depsgraph, seen_hands.evaluated_sources(depsgraph))
     assert light is not None  # who asks has seen that it is chosen
-    record = {"format": "jghand-light", "version": 1, **light.record}
+    record = {"format": "jghand-light", "version": 1, **light.record()}
     if light.world is not None and light.picture is not None:
         content, picture = io.BytesIO(), path.with_suffix(".npy")
         np.save(content, light.picture)

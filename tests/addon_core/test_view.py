@@ -63,7 +63,7 @@ def test_a_light_arrives_with_its_lamps_and_its_world():
     light = SceneLight([sun], {"key": "sky", "env_from_world": np.eye(3).tolist()}, picture)
     request, _ = understood(*picture_request([Moment(VIEW, HANDS)], outputs=["rgba_f32"], preset="draft", light=light))
     assert request.light is not None
-    assert request.light.record == light.record
+    assert request.light.record == light.record()
     np.testing.assert_array_equal(request.light.radiance, picture)
     dark, _ = understood(
         *picture_request([Moment(VIEW, HANDS)], outputs=["rgba_f32"], preset="draft", light=SceneLight())

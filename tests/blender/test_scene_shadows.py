@@ -271,7 +271,7 @@ def test_the_engine_is_told_where_a_card_shades_a_hand(extension):
     light, _ = shaded(extension, hand, "with a card below")
     assert light.left is None
     assert light.key != before
-    assert header["light"] == light.record
+    assert header["light"] == light.record()
 
 
 def test_things_shade_a_hand_as_the_shadow_linking_of_a_light_has_it(extension):
@@ -283,7 +283,7 @@ def test_things_shade_a_hand_as_the_shadow_linking_of_a_light_has_it(extension):
     def is_shaded() -> bool:
         scene_light.forget()  # a view keeps its shadows until it rests
         light, _ = shaded(extension, hand, "linked")
-        assert "blockers" not in light.record["lamps"][0]
+        assert "blockers" not in light.record()["lamps"][0]
         return light.left is not None
 
     assert is_shaded()
