@@ -7,6 +7,7 @@ What a watt is was measured in Cycles on a white card, light by light; tests/ble
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -98,20 +99,20 @@ def lamps_of(light: BlenderLight, unit_m: float) -> list[dict[str, Any]]:
     return [{**lamp, "rgb": (rgb * factor).tolist(), **counts} for factor, counts in parts if factor > 0]
 
 
-def brightest(lamps: list[dict[str, Any]], place_m: np.ndarray) -> list[dict[str, Any]]:
-    """As many lamps as are sent: those that light a place (3,), in Blender's axes, most if it is in their
-    beams."""
+def brightest(lamps: list[dict[str, Any]], lit_m: Sequence[np.ndarray]) -> list[dict[str, Any]]:
+    """As many lamps as are sent: those that light a place, one (3,) for each lamp in Blender's axes, most if it is in
+    their beams."""
     if len(lamps) <= LAMPS_SENT:
         return lamps
-    middle = LIGHT_FROM_WORLD[:3, :3] @ place_m
 
-    def light(lamp: dict[str, Any]) -> float:
+    def light(number: int) -> float:
+        lamp, middle = lamps[number], LIGHT_FROM_WORLD[:3, :3] @ lit_m[number]
         if lamp["kind"] == "sun":
             return sum(lamp["rgb"])
         distance2 = float(np.square(middle - lamp["place_m"]).sum())
         return sum(lamp["rgb"]) * math.prod(lamp.get("size_m", (1.0,))) / max(distance2, 1e-6)
 
-    return sorted(lamps, key=light, reverse=True)[:LAMPS_SENT]
+    return [lamps[number] for number in sorted(range(len(lamps)), key=light, reverse=True)[:LAMPS_SENT]]
 
 
 # of a light of power 1: what a lamp of its kind has for it, and the lamp's other fields

@@ -91,16 +91,23 @@ def lamps_of(
     if uses_scene_lights(space):
         scene = depsgraph.scene_eval
         eevee, unit_m = _is_eevee(scene, space), scene.unit_settings.scale_length
+        places_m = [np.array(hand.matrix_world.translation) * unit_m for hand in hands] or [np.zeros(3)]
+        lit_m: list[np.ndarray] = []  # of each lamp, the place of a hand that it lights
+        counts = np.zeros(len(places_m), int)
         for thing, matrix in _placed(depsgraph, space):
-            if not lights_any(thing.light_linking.receiver_collection, hands):
+            receivers = thing.light_linking.receiver_collection
+            lit = [number for number in range(len(places_m)) if lights_any(receivers, hands[number : number + 1])]
+            if not lit:
                 continue
-            found += lamps.lamps_of(_read(thing, matrix, hands, eevee=eevee), unit_m)
+            lights = lamps.lamps_of(_read(thing, matrix, hands, eevee=eevee), unit_m)
+            found += lights
+            lit_m += [places_m[lit[0]]] * len(lights)
+            counts[lit] += len(lights)
             warnings.update(dict.fromkeys(_warnings(thing, hands, eevee=eevee)))
-        if len(found) > lamps.LAMPS_LIT:
-            text = f"{len(found)} lamps: the {lamps.LAMPS_LIT} brightest light each hand; hide some of them"
+        if counts.max() > lamps.LAMPS_LIT:
+            text = f"{counts.max()} lamps: the {lamps.LAMPS_LIT} brightest light each hand; hide some of them"
             warnings[text] = None
-        place = hands[0].matrix_world.translation if hands else (0.0, 0.0, 0.0)
-        found = lamps.brightest(found, np.array(place) * unit_m)
+        found = lamps.brightest(found, lit_m)
     return SceneLamps(tuple(found), tuple(warnings))
 
 

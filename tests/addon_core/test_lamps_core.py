@@ -55,8 +55,8 @@ def test_of_many_lamps_the_engine_gets_as_many_as_it_takes_and_those_that_light_
     lights = [replace(LIGHT, matrix=placed((away, 0, 0))) for away in range(1, 400)]
     lights += [replace(LIGHT, kind=kind, matrix=placed((1e4, 0, 0))) for kind in ("AREA", "SUN")]
     lamps = [lamp for light in lights for lamp in lamps_of(light, 1.0)]
-    kept = brightest(lamps, np.zeros(3))
+    kept = brightest(lamps, [np.zeros(3)] * len(lamps))
     assert [lamp["kind"] for lamp in kept] == ["sun", *["point"] * (LAMPS_SENT - 1)]
     assert kept[-1]["place_m"][0] == LAMPS_SENT - 1
     assert LAMPS_SENT + world_suns.SUNS_MAX <= light_records.RECORDS_MAX
-    assert brightest(lamps[:9], np.zeros(3)) == lamps[:9]
+    assert brightest(lamps[:9], [np.zeros(3)] * 9) == lamps[:9]

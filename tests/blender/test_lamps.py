@@ -442,6 +442,31 @@ def test_more_lamps_than_light_a_hand_are_the_brightest_and_say_so(card):
     assert found.warnings == ("301 lamps: the 32 brightest light each hand; hide some of them",)
 
 
+def test_lamps_are_counted_and_ranked_on_the_hand_that_they_light(card):
+    """Two things a kilometer from each other, each with 32 lamps of its own; then one has 250 more."""
+    far = bpy.data.objects.new("far", None)
+    far.location.x = 1000
+    bpy.context.scene.collection.objects.link(far)
+    for _ in range(32):
+        linked_to(add_light("POINT", **POINT), (card, "INCLUDE"))
+        beside = add_light("POINT", **POINT)
+        beside.location.x += 1000
+        linked_to(beside, (far, "INCLUDE"))
+    bpy.context.view_layer.update()
+    assert not read(card, far).warnings
+    data = bpy.data.lights.new("lamp", "POINT")
+    data.energy = POINT["energy"]
+    for place in range(250):
+        thing = bpy.data.objects.new("lamp", data)
+        thing.location.x = 20 + place
+        linked_to(thing, (card, "INCLUDE"))
+        bpy.context.scene.collection.objects.link(thing)
+    bpy.context.view_layer.update()
+    found = read(card, far)
+    assert found.warnings == ("282 lamps: the 32 brightest light each hand; hide some of them",)
+    assert sum(lamp["place_m"][0] > 900 for lamp in found.lamps) == 32
+
+
 @pytest.mark.skipif(not hasattr(bpy.data, "colorspace"), reason="one working space alone")
 def test_colors_are_rec709_whatever_the_working_space(card):
     add_light("POINT", **POINT, color=(1, 0.5, 0.25))
