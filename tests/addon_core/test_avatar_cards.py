@@ -39,8 +39,7 @@ def test_the_cards_of_avatars_that_come_with_jghand_are_those_of_their_files(nam
 def test_the_color_of_a_hand_is_the_mean_of_its_skin_as_the_engine_has_it(file):
     avatar = pytest.importorskip("jghand_engine.avatar.file").load_avatar(ASSETS / file)
     mean = pytest.importorskip("jghand_engine.avatar.relighting").covered_mean(avatar, avatar.rgb)
-    # worst observed 0.03: hands of a family take the part that skin throws back from the hand that they were made from
-    assert read_card(ASSETS / file).albedo == pytest.approx(mean, rel=0.035)
+    assert read_card(ASSETS / file).albedo == pytest.approx(mean, rel=1e-3)
 
 
 def with_skin(path: Path, **numbers: tuple[float, float, float]) -> Path:
