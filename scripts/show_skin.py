@@ -60,7 +60,7 @@ SHEET = {
     "freckles": ("back", 0.0, 1.0),
     "dryness": ("knuckle", 0.0, 1.0),
     "nail_mm": ("nail", 0.0, 3.0),
-    "hair": ("back", 0.5, 1.0),
+    "hair": ("wrist_back", 0.5, 1.0),
     "seed": ("lines", 1, 2),
 }
 # one small key high on the left of the palm's side and one of the back's over a weak world: light that shows relief
