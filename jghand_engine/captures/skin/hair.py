@@ -16,7 +16,9 @@ from jghand_engine.captures.skin.canvas import MM, NARROWEST_TEXELS, TEXEL_LEVEL
 from jghand_engine.captures.skin.noise import gauss, smoothstep
 from jghand_engine.captures.skin.person import MELANIN_ABSORBS, Person
 from jghand_engine.hand.rotations import unit
+from jghand_engine.template.closest import Surface
 from jghand_engine.template.subdivision import Subdivision
+from jghand_engine.template.surface import face_normals
 
 # roots on a square millimeter where hair is densest, of a hand of usual size: with it 300 to 450 strands before the
 # wrist, on any identity
@@ -44,8 +46,6 @@ BARE_JOINT_MM, BARE_KNUCKLE_MM = 6.0, 5.0
 HAIR_MELANIN, FAIR, FAIR_TONES = 1.2, 0.7, (0.45, 0.05)
 # what the surface of the darkest hair sends back
 CUTICLE = 0.006
-# faces with the nearest middles, among which the nearest face is
-BESIDE = 8
 # apart, along painted strands, of the points that texels are compared with, mm: less than half a texel
 PAINTED_STEP_MM = 0.05
 # texels farther from a strand than this many half widths of it show none of it
@@ -71,23 +71,26 @@ class Hair:
         canvas = Canvas.of(identity, WHERE_PX, person)
         fine = Subdivision.of(identity.faces, identity.face_uv, TEXEL_LEVELS)
         skin = fine.faces[: identity.skin_face_count * 4**TEXEL_LEVELS]
-        ground, rng = _Ground(fine.matrix @ identity.vertices_m / MM, skin), canvas.random("hair")
-        area = ground.area.sum()
-        count = int(PER_MM2 * area / canvas.size**2)
-        face = rng.choice(len(skin), count, p=ground.area / area)
+        vertices_m, rng = fine.matrix @ identity.vertices_m, canvas.random("hair")
+        ground, normals = Surface(vertices_m, skin), face_normals(vertices_m, skin)
+        a, b, c = ground.corners_m.transpose(1, 0, 2) / MM
+        areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+        count = int(PER_MM2 * areas.sum() / canvas.size**2)
+        face = rng.choice(len(skin), count, p=areas / areas.sum())
         across, along, chance, long, steep = rng.random((5, count))
         to, turn = np.radians(rng.normal(size=(2, count)) * [[HEADING_DEG], [TURN_DEG]])
         across = np.sqrt(across)
-        root = ground.points(face, np.stack([1 - across, across * (1 - along), across * along], 1))
+        shares = np.stack([1 - across, across * (1 - along), across * along], 1)
+        root = np.einsum("nk,nkc->nc", shares, ground.corners_m[face]) / MM
         texel = np.asarray(KDTree(canvas.texels.point).query(root)[1])
         grows = chance < person.hair * _density(canvas)[texel]
         step = (LENGTH_MM[0] + long[grows] * np.ptp(LENGTH_MM)) / (POINTS - 1)
-        heading = _turned(_along(canvas)[texel[grows]], ground.normal[face[grows]], to[grows])
+        heading = _turned(_along(canvas)[texel[grows]], normals[face[grows]], to[grows])
         place = [root[grows]]
         for _ in range(POINTS - 1):
-            onto, shares = ground.places(place[-1] + step[:, None] * heading)
-            place.append(ground.points(onto, shares))
-            heading = _turned(heading, ground.normal[onto], turn[grows] / (POINTS - 1))
+            near = ground.closest(MM * (place[-1] + step[:, None] * heading))
+            place.append(near.point_m / MM)
+            heading = _turned(heading, normals[near.face], turn[grows] / (POINTS - 1))
         steep = np.radians(STEEP_DEG[0] + steep[grows] * np.ptp(STEEP_DEG))
         rise = np.cumsum(step[:, None] * np.tan(steep[:, None] * np.linspace(1, STEEP_LEFT, POINTS - 1)), 1)
         return cls(np.stack(place, 1), np.column_stack([np.zeros(len(rise)), rise]), hair_rgb(person))
@@ -95,9 +98,9 @@ class Hair:
     def attached(self, vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
         """The smooth skin as a mesh -> (S, POINTS, 5) float32: face, shares of its second and third corner, height
         above it and radius, meters."""
-        face, shares = _Ground(vertices_m / MM, faces).places(self.place_mm.reshape(-1, 3))
+        near = Surface(vertices_m, faces).closest(MM * self.place_mm.reshape(-1, 3))
         radius = np.tile(RADIUS_MM, len(self.place_mm))
-        columns = [face, shares[:, 1], shares[:, 2], MM * self.rise_mm.reshape(-1), MM * radius]
+        columns = [near.face, *near.barycentric.T[1:], MM * self.rise_mm.reshape(-1), MM * radius]
         return np.column_stack(columns).reshape(-1, POINTS, 5).astype(np.float32)
 
     def painted(self, canvas: Canvas, rgb: np.ndarray) -> np.ndarray:
@@ -155,31 +158,3 @@ def _turned(heading: np.ndarray, normal: np.ndarray, by_rad: np.ndarray) -> np.n
     """(S, 3) unit, along the skin, turned about its normal."""
     flat = unit(heading - (heading * normal).sum(1, keepdims=True) * normal)
     return np.cos(by_rad)[:, None] * flat + np.sin(by_rad)[:, None] * np.cross(normal, flat)
-
-
-class _Ground:
-    """Triangles of skin. normal: (F, 3) unit · area: (F,) mm2"""
-
-    def __init__(self, vertices_mm: np.ndarray, faces: np.ndarray) -> None:
-        self._corners = vertices_mm[faces]
-        a, b, c = self._corners.transpose(1, 0, 2)
-        across = np.cross(b - a, c - a)
-        self.normal, self.area = unit(across), np.linalg.norm(across, axis=1) / 2
-        self._tree = KDTree(self._corners.mean(1))
-
-    def points(self, face: np.ndarray, shares: np.ndarray) -> np.ndarray:
-        """Faces (N,), shares (N, 3) of their corners -> (N, 3) mm."""
-        return np.einsum("nk,nkc->nc", shares, self._corners[face])
-
-    def places(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points (N, 3) -> the nearest faces (N,), and the shares (N, 3) of their corners there."""
-        face, one = np.asarray(self._tree.query(points, k=BESIDE)[1]), points[:, None]
-        a, b, c = np.moveaxis(self._corners[face], 2, 0)
-        double, normal = 2 * self.area[face], self.normal[face]
-        second = (np.cross(one - a, c - a) * normal).sum(2) / double
-        third = (np.cross(b - a, one - a) * normal).sum(2) / double
-        shares = np.stack([1 - second - third, second, third], 2).clip(0)
-        shares /= shares.sum(2, keepdims=True)
-        apart = np.linalg.norm(np.einsum("nfk,nfkc->nfc", shares, self._corners[face]) - one, axis=2)
-        nearest = np.arange(len(points)), apart.argmin(1)
-        return face[nearest], shares[nearest]
