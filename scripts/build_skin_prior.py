@@ -15,13 +15,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from jghand_engine.captures.making.rig import identity_names, load_identity
 from jghand_engine.captures.skin.color import paint_color
-from jghand_engine.captures.skin.maps import painted
+from jghand_engine.captures.skin.maps import nearest_covered, painted
 from jghand_engine.captures.skin.person import MONK_MELANIN, Person
 from jghand_engine.files import writing
 from jghand_engine.template.builtin import ASSETS
@@ -40,7 +39,7 @@ def skin_of(number: int) -> np.ndarray:
     covered = canvas.texels.covered
     square = np.zeros((SIZE, SIZE, 3))
     square[covered] = np.log(np.maximum(paint_color(canvas), LEAST_REFLECTANCE))
-    row, column = np.asarray(distance_transform_edt(~covered, return_distances=False, return_indices=True))
+    row, column = nearest_covered(covered)
     return square[row, column]
 
 

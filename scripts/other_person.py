@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
 from jghand_engine.avatar.avatar import HandAvatar
@@ -28,7 +28,7 @@ from jghand_engine.captures.making.person_skin import scatter_m
 from jghand_engine.captures.making.rig import Identity, load_identity
 from jghand_engine.captures.skin.canvas import MM
 from jghand_engine.captures.skin.color import RGB_LIMITS, ROUGHNESS_LIMITS
-from jghand_engine.captures.skin.maps import SkinMaps
+from jghand_engine.captures.skin.maps import SkinMaps, nearest_covered
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.skin.surface import SkinSurface
 from jghand_engine.errors import InputError
@@ -213,7 +213,7 @@ def shown_albedo(avatar: HandAvatar, detail: Detail, one: Somebody) -> np.ndarra
         shown[rows] = np.einsum("tg,tgc->tc", weight, avatar.rgb[nearest]) / weight.sum(1, keepdims=True)
     square = np.zeros((*covered.shape, 3), np.float32)
     square[covered] = shown
-    row, column = np.asarray(distance_transform_edt(~covered, return_distances=False, return_indices=True))
+    row, column = nearest_covered(covered)
     return square[row, column]
 
 

@@ -46,12 +46,17 @@ class SkinMaps:
     fine: dict[str, np.ndarray]
 
 
+def nearest_covered(covered: np.ndarray) -> np.ndarray:
+    """(2, S, S) row and column of the nearest texel of skin: it goes on around its islands. covered: (S, S) bool"""
+    return np.asarray(distance_transform_edt(~covered, return_distances=False, return_indices=True))
+
+
 def paint_skin(identity: Identity, size: int, person: Person, hair: Hair | None = None) -> SkinMaps:
     """The maps with an edge of `size` texels: 2048 (0.16 mm on the skin) shows all but friction ridges, which want
     4096. The same to the bit for the same person. hair: painted on it, where no curves are drawn"""
     canvas = painted(identity, size, person)
     covered = canvas.texels.covered
-    row, column = np.asarray(distance_transform_edt(~covered, return_distances=False, return_indices=True))
+    row, column = nearest_covered(covered)
 
     def spread(values: np.ndarray) -> np.ndarray:
         square = np.zeros((*covered.shape, *values.shape[1:]), np.float32)
