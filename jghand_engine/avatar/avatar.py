@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from jghand_engine.avatar.detail import Detail
+from jghand_engine.avatar.end_cap import EndCap
 from jghand_engine.avatar.learned import Learned
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS, Handedness
@@ -85,6 +86,7 @@ class HandAvatar:
     detail:               the texture of what the Gaussians cannot hold; None for none
     own_joints_m:         (21, 3) float64, level order, meters: of the right hand that it stands for, at rest, where
                           its bones are not as long as the canonical hand's; None where they are
+    cap:                  what closes it where it ends, of one that is shown; None for nothing. No file has one
     """
 
     info: AvatarInfo
@@ -99,6 +101,7 @@ class HandAvatar:
     learned: Learned | None = None
     detail: Detail | None = None
     own_joints_m: np.ndarray | None = None
+    cap: EndCap | None = None
 
     def __len__(self) -> int:
         return self.position_m.shape[0]
@@ -164,11 +167,14 @@ class HandAvatar:
         """
         if count <= 0 or count >= len(self):
             return self
-        arrays = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
-        learned = None if self.learned is None else self.learned.prefix(count)
-        shorter = replace(self, learned=learned, **{name: getattr(self, name)[:count] for name in arrays})
-        scale = sigma_scale_for_prefix(count, len(self))
+        shorter, scale = self.rows(slice(count)), sigma_scale_for_prefix(count, len(self))
         return replace(shorter, sigma_m=grown_radii(shorter.sigma_m, scale, shorter.uvd[:, 2]))
+
+    def rows(self, which: np.ndarray | slice) -> HandAvatar:
+        """The same with these of its Gaussians, by their numbers, in this order."""
+        arrays = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
+        learned = None if self.learned is None else self.learned.rows(which)
+        return replace(self, learned=learned, **{name: getattr(self, name)[which] for name in arrays})
 
 
 def forearm_way(template: str) -> np.ndarray | None:

@@ -35,8 +35,12 @@ class PerGaussian:
 
     def prefix(self, count: int) -> Self:
         """The same for the first `count` Gaussians."""
-        rows = {name: getattr(self, name)[:count] for name in self.ROWS}
-        parts = {name: part.prefix(count) for name in self.PARTS if (part := getattr(self, name)) is not None}
+        return self.rows(slice(count))
+
+    def rows(self, which: np.ndarray | slice) -> Self:
+        """The same for Gaussians by their numbers, in this order."""
+        rows = {name: getattr(self, name)[which] for name in self.ROWS}
+        parts = {name: part.rows(which) for name in self.PARTS if (part := getattr(self, name)) is not None}
         return replace(self, **rows, **parts)  # type: ignore[type-var]
 
 

@@ -119,7 +119,8 @@ class Detail:
         sides, uv_sides = (at[:, 1:] - at[:, :1] for at in (corners, self.face_uv.astype(np.float64)))
         metric = sides @ sides.swapaxes(1, 2)
         area = np.sqrt(np.maximum(np.linalg.det(metric), 0))
-        good = area > 0
+        # those of a cap have one texel
+        good = (area > 0) & (np.abs(uv_sides).max((1, 2)) > 0)
         spread = np.einsum("fij,fik,fjk->f", uv_sides[good], uv_sides[good], np.linalg.inv(metric[good])) / 2
         if not len(spread):
             return math.inf, 0.0, 0.0

@@ -146,6 +146,7 @@ class Poser:
         self._light = None if learned is None else _Light(library, avatar, learned, blocks, limits, sweeps=sweeps)
         # what the task points to, and the pose that stands
         self._stands: tuple[np.ndarray, Bones, Capsules | None] | None = None
+        self._cap = avatar.cap
         # from where, and with which light apart
         self._seen: tuple[float, ...] | None = None
 
@@ -223,6 +224,8 @@ class Poser:
             return False
         self._seen = (*eye_m, *parts)
         light.task.eye = tuple(eye_m)
+        shift_m = np.array(self._skin.shift)
+        light.task.from_behind = self._cap is not None and self._cap.seen(self._stands[0], shift_m, eye_m) > 0
         light.draw_apart(apart)
         self._gloss_team.fill(0)
         return True
@@ -271,7 +274,7 @@ class _Light:
         self._fades = learned.fades
         self._arrays = learned_arrays(avatar, learned, blocks)
         if self._fades:
-            self._arrays["hidden_from"] = blocks.in_rows(hidden_from(avatar.position_m, avatar.opacity))
+            self._arrays["hidden_from"] = blocks.in_rows(hidden_from(avatar.position_m, avatar.opacity, avatar.cap))
         set_pointers(self.task, self._arrays)
         self.task.lobes = len(self._arrays["lobe"])
         self._correctives = corrective_step(learned.correctives, avatar, blocks, self.task)

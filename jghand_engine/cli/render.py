@@ -78,6 +78,7 @@ class Render:
         self.motion.check()
         from dataclasses import replace
 
+        from jghand_engine.avatar.forearm import capped
         from jghand_engine.avatar.pose_range import range_report
         from jghand_engine.cli.frame_files import FrameFiles, FrameWriter
         from jghand_engine.cli.inputs import load_motion
@@ -99,7 +100,7 @@ class Render:
             refuse_foreign_video("--video", self.video)
             ffmpeg_program()
         light = self.lighting.read()
-        avatar = self.avatar.load()
+        avatar = capped(self.avatar.load())
         motion = load_motion(self.motion, avatar)
         avatar = avatar.for_hand(motion.sequence.handedness)
         for note in motion.notes:

@@ -37,6 +37,7 @@ constexpr float BEFORE_LAST = 1.f + 1.f / 2048;  // texels: look-ups end so far 
 constexpr int FLOAT_BIAS = 127, FLOAT_FRACTION_BITS = 23, FLOAT_ONE = FLOAT_BIAS << FLOAT_FRACTION_BITS;
 constexpr int PICTURE_PLANES = 5, ALPHA = 3, DEPTH = 4;
 constexpr float FILLED_FROM = 1.f / 64;  // alpha from which on a pixel is the hand's wholly: enough to know its color
+constexpr float SHARPER = 4.f;  // how much more is shown of what fades where a cap closes it, which begins there
 constexpr float LIGHT_LEAST = 0.4f, LIGHT_MOST = 2.5f;  // of what relief makes of light: a slope is no first order there
 
 JG_INLINE vi to_int(vf x) { return __builtin_convertvector(x, vi); }
@@ -192,15 +193,19 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
   } else {
     seen &= (first_x <= last_x) & (first_y <= last_y);
   }
+  vf whole[3];
+  for (int k = 0; k < 3; k++) whole[k] = gather(hand.whole, row_of_corner[k]);
+  const vi is_cap = whole[0] < 0;
+  // a cap that is not there hides nothing behind it
+  if (hand.cap == 0) seen &= ~is_cap;
   const int64_t stride = (hand.groups + LANES - 1) / LANES * LANES;
   if (!bit_mask(seen)) {
     hand.box[group] = INT32_MAX, hand.box[stride + group] = -1;
     return;
   }
-  vf whole[3];
-  for (int k = 0; k < 3; k++) whole[k] = gather(hand.whole, row_of_corner[k]);
   if (t.outline > 0) {
     kind = min(min(whole[0], whole[1]), whole[2]) < 1 ? all(FADES) : all(0);
+    kind |= is_cap & CAP;
     for (int k = 0; k < 3; k++) {
       vi across;
       memcpy(&across, hand.opposite + (3 * (int64_t)group + k) * LANES, sizeof across);
@@ -416,8 +421,9 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
       const vf skin = below(t, hand, at, mine, depth);
       shade<has_relief>(t, hand, at, mine, alpha + t.outline * (filled - alpha), skin, color);
       if (t.outline > 0) {
-        const vi solid = ((all((int32_t)(tile.solid[row] >> x)) >> LANE_NUMBER) & 1) != 0;
-        const vf whole = select(solid, all(1.f), clamped(at.at[WHOLE]));
+        const vi solid = bits_at(tile.solid[row], x);
+        const vf faded = clamped(at.at[WHOLE] * (1.f + SHARPER * hand.cap)), with_cap = 1.f - (1.f - faded) * (1.f - hand.cap);
+        const vf whole = select(solid, all(1.f), select(bits_at(tile.capped[row], x), with_cap, faded));
         const vf wanted = filled * whole * covered_part(tile, row, x);
         const vf more = select(mine & (alpha > 0), 1.f + t.outline * (wanted * inverse(alpha) - 1.f), all(1.f));
         if (bit_mask(more != 1)) {

@@ -14,7 +14,7 @@ struct DetailHand {
   const int32_t* opposite;   // (groups, 3, 16): rows of the vertices across the sides from a corner to the next; where
                              // no face is across, that corner
   const float* corner_uv;    // (groups, 6, 16): column and row of the texture, 0..1, of each corner
-  const float* whole;        // (rows): 0..1, how much of the hand is shown there
+  const float* whole;        // (rows): 0..1, how much of the hand is shown there; below 0: as much as `cap` says
   float* planes;             // (16 groups, 3, 16): see `Plane`
   int32_t* bounds;           // (groups, BOUNDS, 16): pixels x0, x1, y0, y1 of each face whose centers it may cover, both
                              // ends included, and its kind: bits of its sides, each from a corner to the next, that are
@@ -28,6 +28,7 @@ struct DetailHand {
   float fade_from, fade_to;  // m: apart from that depth by this much, detail begins to fade, and is gone
   float strength;            // 0..1; 0: not drawn
   float exponent;            // log2 of a ratio over the range of a texel's channel
+  float cap;                 // 0..1, how much is shown of what closes the hand where it ends
   // relief
   const LearnedTask* learned;  // whose light falls on it; null: there is none
   const float* normal;       // (blocks, 3, 16) of the vertices at rest, unit
@@ -76,7 +77,7 @@ struct Apron {
 inline Apron apron_of(const DetailTask& t) { return t.layers > 0 ? Apron{LANES / 2, 1} : Apron{0, 0}; }
 constexpr int FACE_BITS = 20;        // of a number of a face; the hand's stands above
 constexpr int BOUNDS = 5, FACE_KIND = 4;
-constexpr int FADES = 8;  // bit of a face, beside those of its sides: the hand ends there
+constexpr int FADES = 8, CAP = 16;  // bits of a face, beside those of its sides: the hand ends there; it closes the end
 // of a pixel where a face may cover it: a Hammersley set, spread as the film filter of Cycles weighs places (Blackman-Harris,
 // 1.5 pixels to each side), so that outlines are as soft as those of what Blender renders beside
 const vf SAMPLE_X = {-0.7699f, -0.5554f, -0.4290f, -0.3312f, -0.2478f, -0.1724f, -0.1018f, -0.0337f,
@@ -98,6 +99,7 @@ struct Surface {
   alignas(64) float near[TILE_Y][TILE_X + LANES];
   alignas(64) int32_t face[TILE_Y][TILE_X + LANES];  // its number and its hand's; -1: none
   uint64_t solid[TILE_Y];            // bits of pixels where a face is that does not fade away, however far
+  uint64_t capped[TILE_Y];           // ... where one of a cap is
   uint64_t doubted[TILE_Y];          // bits of pixels that the surface may cover in part
   uint16_t samples[TILE_Y][TILE_X];  // of these, which samples of a pixel it covers
   uint8_t most[TILE_Y][TILE_X];      // ... by the face above, where none covers the center
@@ -110,7 +112,8 @@ static_assert(TILE_X == 64 && LANES == 16, "a row of pixels is a word, samples o
 inline void clear(Surface& tile) {
   const vf nothing = all(-3.0e38f);
   const vi no_face = all(-1);
-  memset(tile.solid, 0, sizeof tile.solid), memset(tile.doubted, 0, sizeof tile.doubted);
+  memset(tile.solid, 0, sizeof tile.solid), memset(tile.capped, 0, sizeof tile.capped);
+  memset(tile.doubted, 0, sizeof tile.doubted);
   memset(tile.samples, 0, sizeof tile.samples), memset(tile.most, 0, sizeof tile.most);
   for (int y = 0; y < TILE_Y; y++)
     for (int x = 0; x < TILE_X; x += LANES) store(&tile.near[y][x], nothing), store(&tile.face[y][x], no_face);
@@ -212,10 +215,11 @@ inline void doubt_outlines(Surface& tile, const DetailHand& hand) {
   });
 }
 
-// Marks where something is behind a part of a hand that fades away.
+// Marks where something is behind a part of a hand that fades away, or its cap.
 inline void mark_solid(Surface& tile, const DetailHand& hand) {
   each_face(tile, hand, 0, [&](int32_t row, const Span& at, int32_t kind) __attribute__((always_inline)) {
-    if (kind & FADES) return;
+    if ((kind & (FADES | CAP)) == FADES) return;
+    uint64_t* marked = kind & CAP ? tile.capped : tile.solid;
     const float *face = hand.planes + FACE_NUMBERS * (int64_t)row, *by_x = face + BY_X, *by_y = face + BY_Y;
     for (int32_t y = at.y0; y <= at.y1; y++) {
       const float dy = (float)(tile.y + y) + 0.5f - face[Y];
@@ -223,7 +227,7 @@ inline void mark_solid(Surface& tile, const DetailHand& hand) {
         const vf dx = LANE + ((float)(tile.x + x) + 0.5f - face[X]);
         vf least = all(0.f);
         for (int k = SHARE_0; k <= SHARE_2; k++) least = min(least, dx * by_x[k] + (face[k] + dy * by_y[k]));
-        tile.solid[y] |= (uint64_t)bit_mask(least >= 0) << x;
+        marked[y] |= (uint64_t)bit_mask(least >= 0) << x;
       }
     }
   });
@@ -257,6 +261,9 @@ inline void sample_hand(Surface& tile, const DetailHand& hand, int32_t number) {
     }
   });
 }
+
+// Which of sixteen pixels of a row from x on have their bit.
+JG_INLINE vi bits_at(uint64_t row, int32_t x) { return ((all((int32_t)(row >> x)) >> LANE_NUMBER) & 1) != 0; }
 
 // The part of sixteen pixels that surfaces cover, of those that they cover at all.
 JG_INLINE vf covered_part(const Surface& tile, int32_t row, int32_t x) {

@@ -23,6 +23,7 @@ from jghand_engine.avatar.cast_task import posed_joints_m
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, RATIO_STEPS, Detail
 from jghand_engine.avatar.detail_correctives import NUMBERS, angle_numbers
 from jghand_engine.avatar.detail_mips import STEPS_PER_BYTE
+from jghand_engine.avatar.end_cap import EndCap
 from jghand_engine.avatar.posing import LightAround, Poser
 from jghand_engine.avatar.relief import Bend, finger_shares
 from jghand_engine.avatar.scene_light_step import NO_DEPTH
@@ -69,6 +70,7 @@ class DetailedHand:
     weights: np.ndarray
     light: LightAround | None = None
     rest: np.ndarray | None = None
+    cap: EndCap | None = None
 
     @classmethod
     def of(cls, avatar: HandAvatar, power: float, poser: Poser | None = None) -> DetailedHand:
@@ -79,7 +81,7 @@ class DetailedHand:
         weights = avatar.map_weights(detail.position_m, detail.bone_weights)
         light = None if poser is None or detail.relief is None else poser.light_around(detail.position_m)
         rest = None if detail.correctives is None else angle_numbers(avatar.canonical_angles_rad)
-        return cls(detail, power, avatar.canonical_joints_m, avatar.handedness, weights, light, rest)
+        return cls(detail, power, avatar.canonical_joints_m, avatar.handedness, weights, light, rest, avatar.cap)
 
     def posed_m(self, bones: Bones) -> np.ndarray:
         """(V, 3) where a pose has the vertices, meters: as the kernel moves them, in float64."""
@@ -156,6 +158,7 @@ class NativeDetail:
             own.rise = hand.rise_m if strength > 0 else 0.0
             hand.set_faces(own, fine=is_seen and task.outline > 0 and hand.corner_px(camera) > self._outline_px)
             own.groups *= is_seen
+            own.cap = hand.cap_seen(camera.eye_m)
         task.layers, self._lit = 0, []
         self.team.fill(0)
 
@@ -317,6 +320,7 @@ class _Hand:
         self.set_faces(self.task, fine=False)
         self._linear_offset: np.ndarray | None = None
         self._maps = hand.weights.shape[1]
+        self._cap = hand.cap
 
     @property
     def face_of_row(self) -> np.ndarray:
@@ -335,6 +339,12 @@ class _Hand:
         depth_m = 1.0 if camera.orthographic else camera.camera_from_world[2] @ (*self._skin.shift, 1.0)
         corner_m = self._skin.scale * self._side_m**2 / (8 * FINGER_RADIUS_M)
         return corner_m * max(camera.fx, camera.fy) / depth_m if depth_m > 0 else math.inf
+
+    def cap_seen(self, eye_m: np.ndarray) -> float:
+        """0..1, how much of its cap is shown to an eye at (3,)."""
+        if self._cap is None or self._linear_offset is None:
+            return 0.0
+        return self._cap.seen(self._linear_offset, np.array(self._skin.shift), eye_m)
 
     def set_faces(self, task: DetailHand, *, fine: bool) -> None:
         """Which faces are drawn next. task: the hand's, or a copy of it"""

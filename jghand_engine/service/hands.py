@@ -16,7 +16,7 @@ import numpy as np
 from jghand_engine.avatar import SHIPPED
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
-from jghand_engine.avatar.forearm import ended
+from jghand_engine.avatar.forearm import capped, ended
 from jghand_engine.avatar.light_records import lamps_of, light_of, turn_of
 from jghand_engine.avatar.scene_light import Baked, SceneLight, Shades, World
 from jghand_engine.errors import InputError
@@ -222,7 +222,8 @@ class HandImages:
         key = _Key(hands, wanted, request.depth, size_px, light is not None)
         if key not in self._renderers:
             with self._telling("Loading the avatar"):
-                avatars = [ended(self._avatar(version, side), forearm=forearm) for version, side, forearm in hands]
+                shown = (ended(self._avatar(version, side), forearm=forearm) for version, side, forearm in hands)
+                avatars = [capped(avatar) for avatar in shown]
                 settings = _settings(wanted, avatars, size_px, self._backend)
                 settings = replace(settings, depth=request.depth, backend=self._backend)
                 while len(self._renderers) >= RENDERERS_MAX:

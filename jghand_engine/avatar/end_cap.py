@@ -1,0 +1,122 @@
+"""The skin that closes a hand where it ends, for eyes behind it: a dome across the forearm, or the wrist.
+
+Skin that faces away is not drawn, so an open end would show what lies before the hand, through it. From the side a hand
+fades out there, and nobody sees a cap: it comes into sight as the eye gets behind it, and the fade narrows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jghand_engine.avatar.detail import NO_RATIO, Detail
+from jghand_engine.hand.rotations import unit
+
+# Gaussians of a cap, 2 mm apart on a forearm; of its faces the rings around the middle, and the corners of each
+GAUSSIANS, RINGS, SECTORS = 600, 8, 48
+# of Gaussians: sigma over the way between neighbors, by which their sum is even to a hundredth
+SIGMA_PART = 0.7
+# how far its edge is before that of the skin, meters, and its radius over that of the skin there: below it
+WITHIN_M, BELOW = 0.012, 0.985
+# how far it bulges, over its mean radius: so that light changes evenly from the skin to its middle
+BULGE = 0.7
+# skin so near to the plane of its edge says where that lies, and which color it has, meters
+EDGE_M = 0.006
+# cosines between the ways from its middle to the eye and out of the hand, over which it comes into sight: from farther
+# aside nobody sees deeper into the end than skin is drawn from both sides (`hidden_from`)
+SEEN_FROM, SEEN_WHOLLY = 0.68, 0.78
+# of its vertices in `Detail.whole`, native/detail.cpp: as much of them is shown as the eye sees of it
+CAP_WHOLE = -1.0
+
+
+@dataclass(frozen=True)
+class EndCap:
+    """What poses say of a cap.
+
+    rows:    of the avatar's Gaussians, which are its own
+    weights: (maps,) of what moves it
+    rest_m:  (3,) canonical, its middle, from the wrist, meters
+    way:     (3,) canonical, out of the hand
+    """
+
+    rows: slice
+    weights: np.ndarray
+    rest_m: np.ndarray
+    way: np.ndarray
+
+    def seen(self, linear_offset: np.ndarray, shift_m: np.ndarray, eye_m: np.ndarray) -> float:
+        """0..1, how much of it an eye at (3,) sees. linear_offset: (maps, 3, 4) of a pose · shift_m: (3,) its wrist"""
+        moves = np.tensordot(self.weights, linear_offset, 1)
+        middle_m, way = moves @ (*self.rest_m, 1.0) + shift_m, moves[:, :3] @ self.way
+        cosine = float(unit(way) @ unit(eye_m - middle_m))
+        part = min(max((cosine - SEEN_FROM) / (SEEN_WHOLLY - SEEN_FROM), 0.0), 1.0)
+        return part * part * (3 - 2 * part)
+
+
+class Dome:
+    """Half an ellipsoid over the outline of skin (V, 3), meters, in a plane.
+
+    way: (3,) unit, out of the hand and the plane · end_m: where the skin ends along it
+    """
+
+    def __init__(self, skin_m: np.ndarray, way: np.ndarray, end_m: float) -> None:
+        self.way, self._along_m = way, end_m - WITHIN_M
+        across = unit(np.cross(way, [0.0, 0.0, 1.0]))
+        self._axes = np.stack([across, np.cross(way, across)])
+        edge_m = skin_m[self.edge(skin_m)].astype(np.float64)
+        self._middle_m = edge_m.mean(0)
+        self._middle_m += (self._along_m - self._middle_m @ way) * way
+        flat_m = (edge_m - self._middle_m) @ self._axes.T
+        self._angle_rad, self._radius_m = np.arctan2(flat_m[:, 1], flat_m[:, 0]), np.linalg.norm(flat_m, axis=1)
+        self._mean_m = float(self._radius_m.mean())
+
+    def edge(self, position_m: np.ndarray) -> np.ndarray:
+        """Numbers of the places (N, 3), meters, that are near its plane."""
+        return np.flatnonzero(np.abs(position_m @ self.way - self._along_m) < EDGE_M)
+
+    def at(self, part: np.ndarray, angle_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Places (N, 3), meters, and unit normals (N, 3) at parts (N,) of the radius and angles around the middle."""
+        near = np.exp((SECTORS / np.pi) ** 2 * (np.cos(angle_rad[:, None] - self._angle_rad) - 1))
+        radius_m = BELOW * (near @ self._radius_m) / near.sum(1)
+        radial = np.stack([np.cos(angle_rad), np.sin(angle_rad)], -1) @ self._axes
+        height, bulge_m = np.sqrt(np.maximum(1 - part**2, 0)), BULGE * self._mean_m
+        place_m = self._middle_m + (part * radius_m)[:, None] * radial + (height * bulge_m)[:, None] * self.way
+        return place_m, unit((part / radius_m)[:, None] * radial + (height / bulge_m)[:, None] * self.way)
+
+    def gaussians(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Places and normals of skin, as even as on a sphere, and sigma, meters."""
+        height = 1 - (np.arange(GAUSSIANS) + 0.5) / GAUSSIANS
+        golden_rad = np.pi * (3 - np.sqrt(5))
+        place_m, normal = self.at(np.sqrt(1 - height**2), np.arange(GAUSSIANS) * golden_rad)
+        return place_m, normal, SIGMA_PART * self._mean_m * float(np.sqrt(np.pi * (1 + BULGE**2) / GAUSSIANS))
+
+    def faces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (V, 3), meters, ring by ring and the middle last; (F, 3) faces, counterclockwise from outside."""
+        ring, sector = np.divmod(np.arange(RINGS * SECTORS), SECTORS)
+        part = np.append(np.sin((ring + 1) / RINGS * np.pi / 2), 0.0)
+        place_m, _ = self.at(part, np.append(2 * np.pi / SECTORS * sector, 0.0))
+        own = np.arange(RINGS * SECTORS)
+        beside = own - sector + (sector + 1) % SECTORS
+        inner, within = (np.where(ring > 0, of - SECTORS, len(own)) for of in (own, beside))
+        around = np.stack([np.stack([inner, own, beside], -1), np.stack([inner, beside, within], -1)], 1)
+        return place_m, np.concatenate([around[ring == 0, 0], around[ring > 0].reshape(-1, 3)])
+
+
+def with_cap(detail: Detail, dome: Dome) -> Detail:
+    """The surface of a hand and the faces of its cap, which have one texel that changes next to nothing."""
+    place_m, faces = dome.faces()
+    count, edge = len(detail.position_m), dome.edge(detail.position_m)
+    nearest = edge[np.square(place_m[:, None] - detail.position_m[edge]).sum(-1).argmin(1)]
+    vertices, uv = np.append(np.arange(count), nearest), detail.face_uv.reshape(-1, 2)
+    column, row = ((at * detail.size).astype(int).clip(0, detail.size - 1) for at in (uv[:, 0], 1 - uv[:, 1]))
+    plain = np.abs(detail.texture[row, column].astype(int) - NO_RATIO).max(-1).argmin()
+    return replace(
+        detail,
+        position_m=np.concatenate([detail.position_m, place_m.astype(np.float32)]),
+        bone_weights=detail.bone_weights[vertices],
+        faces=np.concatenate([detail.faces, (faces + count).astype(np.int32)]),
+        face_uv=np.concatenate([detail.face_uv, np.tile(uv[plain], (len(faces), 3, 1))]),
+        correctives=None if detail.correctives is None else detail.correctives.of(vertices),
+        whole=np.append(detail.shown, np.full(len(place_m), CAP_WHOLE, np.float32)),
+    )
