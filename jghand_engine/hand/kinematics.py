@@ -11,6 +11,7 @@ within 2 mm (scripts/show_skin_gaps.py).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -36,6 +37,9 @@ FRAME_RANGES_DEG = np.array(
 ABDUCTION_SIDE = np.array([1.0, 1.0, 1.0, -1.0, -1.0])
 # out of the palm for the thumb, in the palm frame (out of the palm, towards the thumb, distal); DATA 8
 _THUMB_NORMAL = np.array([0.59, -0.80, -0.10])
+
+# finger and the neighbor on which it leans, thumb 0 .. pinky 4
+NEIGHBORS = ((1, 2), (3, 2), (4, 3))
 
 # tips touch: air of this part of the finger chain's length (about 3 mm) weighs as much as turning one joint by the
 # pull; a weaker pull bends fingers oddly to close the last tenth of a millimeter
@@ -69,19 +73,42 @@ class Contact(StrEnum):
     REST = "rest"
 
 
+@dataclass(frozen=True)
+class Fist:
+    """What the skin of a hand changes in its fist: bones do not say how thick fingers are.
+
+    turns_deg:  more abduction of index, ring and pinky, so that they touch the neighbors on which they lean
+    room_parts: more room between the metacarpals and middle, ring and pinky, as `PALM_GAP_PARTS`
+    thumb_part: and between thumb and fingers, as `REST_PART` and `BESIDE_PARTS`
+    """
+
+    turns_deg: tuple[float, ...] = (0.0, 0.0, 0.0)
+    room_parts: tuple[float, ...] = (0.0, 0.0, 0.0)
+    thumb_part: float = 0.0
+
+
+# that of the table of poses, for a hand whose skin is not known
+NO_FIST = Fist()
+# the least and the largest changes: hands want -8 to 5 degrees and a hundredth of the length. 9 degrees more than the
+# table has, with those of the ring finger, end the pinky's range
+FIST_TURN_RANGE_DEG, FIST_ROOM_RANGE_PARTS = (-9.0, 6.0), (-0.02, 0.02)
+
+
 class ArticulatedHand:
     """A canonical hand that can be posed by anatomical angles; bones keep the canonical lengths exactly, and knuckles
     their places.
 
     canonical_joints_m: (21, 3) right hand, level order, meters
+    fist:               what its skin wants, if that is known
     straight_joints_m:  (21, 3) the hand whose fingers are straight: what `turns` turns
     flexion_axes, abduction_axes: (3, 5, 3) of the three moving bones of each finger in the straight hand
     palm_normal:        (3,) unit, out of the palm
     finger_length_m:    of the middle finger with its metacarpal
     """
 
-    def __init__(self, canonical_joints_m: np.ndarray) -> None:
+    def __init__(self, canonical_joints_m: np.ndarray, fist: Fist = NO_FIST) -> None:
         hand = CanonicalHand.build(canonical_joints_m)
+        self.fist = fist
         self.straight_joints_m = joints = hand.joints_m + hand.root_m
         self.finger_length_m = float(hand.length_m[[2, 7, 12, 17]].sum())
         frame = hand.frames[1:6]
@@ -130,7 +157,8 @@ class ArticulatedHand:
         trials = np.repeat(angles_deg[None], len(factors), axis=0)
         flexions = np.ix_(range(len(factors)), range(1, 5), (0, 2, 3))
         trials[flexions] = trials[flexions] * factors[:, None, None]
-        gaps = palm_gaps_m(self.joints(trials)) - self.finger_length_m * np.array(PALM_GAP_PARTS)
+        room_parts = np.add(PALM_GAP_PARTS, (0.0, *self.fist.room_parts))
+        gaps = palm_gaps_m(self.joints(trials)) - self.finger_length_m * room_parts
         eased = angles_deg.copy()
         for finger, gap in enumerate(gaps.T, start=1):
             # where no factor is enough the last one is the best there is
@@ -192,10 +220,14 @@ class ArticulatedHand:
             joints[:, thumb][:, None], joints[:, thumb + 5][:, None], joints[:, bones], joints[:, bones + 5]
         )
         gaps = np.linalg.norm(ways, axis=-1)
-        deep = (size_m * np.array(BESIDE_PARTS) - gaps[:, :-1].min(-1)).clip(0).reshape(len(joints), -1)
+        deep = (
+            (size_m * (np.array(BESIDE_PARTS) + self.fist.thumb_part) - gaps[:, :-1].min(-1))
+            .clip(0)
+            .reshape(len(joints), -1)
+        )
         # of the thumb's last bone to the nearer one
         to_it = np.where(gaps[:, -1, 1, :1] < gaps[:, -1, 1, 1:], ways[:, -1, 1, 0], ways[:, -1, 1, 1])
-        return np.concatenate([to_it - REST_PART * size_m * unit(to_it), deep], axis=1)
+        return np.concatenate([to_it - (REST_PART + self.fist.thumb_part) * size_m * unit(to_it), deep], axis=1)
 
 
 class ArchingHand(ArticulatedHand):

@@ -11,18 +11,24 @@ import numpy as np
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import FINGERS, Handedness
-from jghand_engine.hand.kinematics import ArchingHand, ArticulatedHand
+from jghand_engine.hand.kinematics import NO_FIST, ArchingHand, ArticulatedHand, Fist
 from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN, PoseSequence, forearm_turns
 from jghand_engine.hand.shapes import angles_on
 from jghand_engine.hand.wrist import NO_TURN, ZERO
 
 
-def named_pose(name: str, canonical_joints_m: np.ndarray, *, handedness: Handedness) -> np.ndarray:
+def named_pose(
+    name: str,
+    canonical_joints_m: np.ndarray,
+    *,
+    handedness: Handedness,
+    fist: Fist = NO_FIST,
+) -> np.ndarray:
     """(21, 3) level-order joints of a named pose, meters; the wrist stays where the canonical hand has it.
 
-    canonical_joints_m: (21, 3) right hand. A left hand is the mirror image, x negated.
+    canonical_joints_m: (21, 3) right hand. A left hand is the mirror image, x negated. fist: of an avatar
     """
-    hand = ArchingHand(canonical_joints_m)
+    hand = ArchingHand(canonical_joints_m, fist)
     return _handed(hand.joints(angles_on(hand, name)[None])[0], handedness)
 
 
@@ -73,16 +79,17 @@ def pose_sequence_of_names(
     *,
     handedness: Handedness,
     options: MotionOptions | None = None,
+    fist: Fist = NO_FIST,
 ) -> PoseSequence:
     """A motion through named poses: minimum jerk, each finger a little late, the wrist and the forearm at rest.
 
-    canonical_joints_m: (21, 3) right hand, level order, meters; its bone lengths are kept exactly.
+    canonical_joints_m: (21, 3) right hand, level order, meters; its bone lengths are kept exactly. fist: of an avatar
     """
     options = options or MotionOptions()
     if not names:
         raise InputError("poses of a motion", wanted="at least one name", came="none")
     options.check()
-    hand = ArchingHand(canonical_joints_m)
+    hand = ArchingHand(canonical_joints_m, fist)
     random = np.random.default_rng(options.seed)
     solved = {name: angles_on(hand, name) for name in dict.fromkeys(names)}
     keys = [solved[name] + options.variation_deg * random.standard_normal((5, 4)) for name in names]

@@ -9,15 +9,17 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import InputError
-from .kinematics import RANGES_DEG, ArticulatedHand, Contact
+from .kinematics import NEIGHBORS, RANGES_DEG, ArticulatedHand, Contact
 
 _Finger = tuple[float, float, float, float]
 # fingers of a fist, bent into the palm and opened for each hand; they turn so that neighbors touch, within 2 mm on all
-# hands that captures show, where the palm arches. And the thumb that rests on them
+# hands that captures show, where the palm arches, and on a hand whose skin is known as that wants it (`Fist`). And the
+# thumb that rests on them
 _INDEX: _Finger = (86, 9, 106, 66)
 _MIDDLE: _Finger = (88, 0, 109, 67)
 _RING: _Finger = (88, 1, 108, 66)
 _PINKY: _Finger = (86, 16, 104, 64)
+_FIST = np.array((_INDEX, _MIDDLE, _RING, _PINKY))
 _RESTING: _Finger = (24, -14, 50, 30)
 
 # angles of five fingers, thumb first
@@ -108,8 +110,8 @@ def named_angles(name: str) -> np.ndarray:
 
 
 def angles_on(hand: ArticulatedHand, name: str) -> np.ndarray:
-    """(5, 4) angles of a named pose on this hand, degrees: the table's, solved for contact where fingers touch the palm
-    or the thumb."""
+    """(5, 4) angles of a named pose on this hand, degrees: the table's, solved for contact where fingers touch their
+    neighbors, the palm or the thumb."""
     return _closed(hand, named_angles(name), CONTACTS.get(name))
 
 
@@ -119,6 +121,17 @@ def letter_angles_on(hand: ArticulatedHand, letter: str) -> np.ndarray:
     return _closed(hand, np.array(LETTERS_DEG[shape], dtype=np.float64), LETTER_CONTACTS.get(shape))
 
 
+def _side_by_side(angles: np.ndarray, turns_deg: tuple[float, ...]) -> np.ndarray:
+    """The angles with index, ring and pinky turned where they and their neighbors are those of a fist; they go with
+    neighbors that turn."""
+    bent, turned = [False, *(angles[1:] == _FIST).all(1)], angles.copy()
+    for (finger, neighbor), turn_deg in zip(NEIGHBORS, turns_deg, strict=True):
+        if bent[finger] and bent[neighbor]:
+            turned[finger, 1] += turn_deg + turned[neighbor, 1] - angles[neighbor, 1]
+    return turned
+
+
 def _closed(hand: ArticulatedHand, angles: np.ndarray, contact: tuple[Contact, int] | None) -> np.ndarray:
+    angles = _side_by_side(angles, hand.fist.turns_deg)
     eased = hand.eased(np.clip(angles, RANGES_DEG[..., 0], RANGES_DEG[..., 1]))
     return hand.touching(eased, *contact) if contact else eased

@@ -11,6 +11,7 @@ from jghand_engine.hand.kinematics import (
     RANGES_DEG,
     ArchingHand,
     ArticulatedHand,
+    Fist,
     palm_gaps_m,
     segment_gap,
 )
@@ -66,6 +67,33 @@ def test_finger_tips_lie_on_the_palm_of_a_fist_and_not_in_it(hand):
     np.testing.assert_allclose(gaps_m, hand.finger_length_m * np.array(PALM_GAP_PARTS), atol=3e-4)
     # the table of angles alone runs into the palm
     assert palm_gaps_m(hand.joints(np.array(POSES_DEG["fist"])[None])).min() < 3e-3
+
+
+FIST = Fist((1.0, 2.0, 4.0), (0.01, -0.01, 0.005))
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted_deg"),
+    [
+        ("fist", (1, 0, 2, 6)),
+        ("call", (1, 0, 2, 0)),  # the pinky is straight
+        ("victory", (0, 0, 0, 4)),  # so is the middle finger, and the pinky follows a ring finger that does not turn
+        ("point", (0, 0, 2, 6)),
+        ("three", (0, 0, 0, 0)),
+        ("open", (0, 0, 0, 0)),
+        ("grasp", (0, 0, 0, 0)),
+    ],
+)
+def test_fingers_turn_as_skin_wants_where_they_and_their_neighbors_are_those_of_a_fist(name, wanted_deg):
+    by_bones, by_skin = (angles_on(ArchingHand(CANONICAL, fist), name)[1:, 1] for fist in (Fist(), FIST))
+    np.testing.assert_allclose(by_skin - by_bones, wanted_deg, atol=1e-12)
+
+
+def test_tips_go_as_far_into_the_palm_as_skin_wants():
+    hand = ArchingHand(load_template().joints_m, FIST)
+    gaps_m = palm_gaps_m(hand.joints(angles_on(hand, "fist")[None]))[0]
+    parts = np.add(PALM_GAP_PARTS, (0, *FIST.room_parts))
+    np.testing.assert_allclose(gaps_m, hand.finger_length_m * parts, atol=3e-4)
 
 
 def test_fingers_that_are_not_in_the_palm_stay_as_they_are(hand):

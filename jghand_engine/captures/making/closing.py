@@ -13,8 +13,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from jghand_engine.captures.making.rig import RiggedHand
-from jghand_engine.captures.making.skin_gaps import FINGERS, NEIGHBORS, HandSkin, SkinGaps
-from jghand_engine.hand.kinematics import RANGES_DEG
+from jghand_engine.captures.making.skin_gaps import FINGERS, IdentitySkin, SkinGaps
+from jghand_engine.hand.kinematics import NEIGHBORS, RANGES_DEG
 
 # skin that is nearer than this part of the hand's length (wrist to middle tip) is meant to touch: 5 mm
 REACH_PART = 0.027
@@ -42,7 +42,7 @@ class Closing:
     """Closes poses of one hand by its skin."""
 
     def __init__(self, hand: RiggedHand) -> None:
-        self.hand, self._skin = hand, HandSkin(hand.identity)
+        self.hand, self._skin = hand, IdentitySkin(hand.identity)
         length_mm = 1e3 * hand.finger_length_m
         self._reach_mm, self._thumb_reach_mm = REACH_PART * length_mm, THUMB_REACH_PART * length_mm
 

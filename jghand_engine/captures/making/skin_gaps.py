@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from jghand_engine.captures.making.rig import FIRST_JOINTS, Identity
+from jghand_engine.hand.kinematics import NEIGHBORS
 from jghand_engine.template.subdivision import Subdivision
 from jghand_engine.template.surface import unit
 
@@ -30,32 +31,39 @@ SPACING_MM = 2.0
 # what counts of a part's vertices: of a flank its nearest quarter, of a tip the nearest hundredth, so that one vertex
 # does not decide
 FLANK_PART, TIP_PART = 0.25, 0.01
-# finger and the neighbor towards which it turns, thumb 0 .. pinky 4
-NEIGHBORS = ((1, 2), (3, 2), (4, 3))
 FINGERS = (1, 2, 3, 4)
 
 
 class HandSkin:
-    """The skin of an identity and its parts, as vertex numbers of a smooth mesh."""
+    """The parts of a hand's skin, as vertex numbers of a smooth mesh.
+
+    faces: (F, 3) · first, ends: (V, 5) weights of each finger's first moving bone, and of the others
+    """
+
+    def __init__(self, faces: np.ndarray, first: np.ndarray, ends: np.ndarray) -> None:
+        self.faces, whole = faces, first + ends
+        self.palm = np.flatnonzero(whole.sum(1) < PALM)
+        self.fingers = [np.flatnonzero(weight > OWN) for weight in whole.T]
+        own = (OWN_THUMB, OWN, OWN, OWN, OWN)
+        self.ends = [np.flatnonzero(weight > least) for weight, least in zip(ends.T, own, strict=True)]
+
+    def gaps(self, vertices_m: np.ndarray) -> SkinGaps:
+        """Of the posed mesh (V, 3)."""
+        return SkinGaps(self, vertices_m)
+
+
+class IdentitySkin(HandSkin):
+    """The skin of an identity."""
 
     def __init__(self, identity: Identity) -> None:
         fine = Subdivision.of(identity.faces, identity.face_uv, LEVELS)
-        self.faces, self.matrix = fine.faces, fine.matrix
-        weights = fine.matrix @ identity.weights25
-
-        def of(finger: int, bones: slice) -> np.ndarray:
-            first = FIRST_JOINTS[finger]
-            return weights[:, first : first + 4][:, bones].sum(1)
-
-        whole = np.stack([of(finger, slice(0, 4)) for finger in range(5)], 1)
-        self.palm = np.flatnonzero(whole.sum(1) < PALM)
-        self.fingers = [np.flatnonzero(whole[:, finger] > OWN) for finger in range(5)]
-        self.ends = [np.flatnonzero(of(0, slice(1, 4)) > OWN_THUMB)]
-        self.ends += [np.flatnonzero(of(finger, slice(1, 4)) > OWN) for finger in FINGERS]
+        self.matrix = fine.matrix
+        bones = (fine.matrix @ identity.weights25)[:, np.add.outer(FIRST_JOINTS, range(4))]
+        super().__init__(fine.faces, bones[..., 0], bones[..., 1:].sum(-1))
 
     def gaps(self, vertices_m: np.ndarray) -> SkinGaps:
         """Of the identity's posed mesh (V, 3)."""
-        return SkinGaps(self, self.matrix @ vertices_m)
+        return super().gaps(self.matrix @ vertices_m)
 
 
 class SkinGaps:
