@@ -184,7 +184,9 @@ def run(options: argparse.Namespace) -> int:
 def demo_motion(avatar: HandAvatar, poses: list[str]) -> PoseSequence:
     """Named poses while the whole hand sways about its long axis, so that more than one side is seen."""
     motion = MotionOptions(fps=FPS, move_s=MOVE_S, hold_s=HOLD_S)
-    sequence = pose_sequence_of_names(poses, avatar.rest_joints_m, handedness=avatar.handedness, options=motion)
+    sequence = pose_sequence_of_names(
+        poses, avatar.rest_joints_m, handedness=avatar.handedness, options=motion, fist=avatar.fist
+    )
     angle_rad = np.radians(SWAY_DEG) * np.sin(np.linspace(0, 2 * np.pi, len(sequence)))
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     zero, one = np.zeros_like(cosine), np.ones_like(cosine)

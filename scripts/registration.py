@@ -22,6 +22,7 @@ from jghand_engine.captures.making.rig import RiggedHand
 from jghand_engine.captures.skin.surface import SkinSurface
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.fist import with_fist
 from jghand_engine.template.reshape import pulled_back
 from jghand_engine.template.subdivision import Subdivision
 from jghand_engine.template.surface import directed_edges, vertex_normals
@@ -39,11 +40,12 @@ STEPS = 127
 
 
 def with_maps(avatar: HandAvatar, person: Somebody) -> HandAvatar:
-    """The avatar with the detail of its person's maps on that person's skin; one without detail as it is."""
+    """The avatar with the detail of its person's maps on that person's skin, and the fist that this wants; one without
+    detail as it is."""
     if avatar.detail is None:
         return avatar
     avatar = registered(avatar, person)
-    return replace(avatar, detail=person_detail(avatar, person))
+    return with_fist(replace(avatar, detail=person_detail(avatar, person)))
 
 
 def registered(avatar: HandAvatar, one: Somebody) -> HandAvatar:

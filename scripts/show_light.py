@@ -93,7 +93,7 @@ def lit(name: str) -> list[np.ndarray]:
     avatar = load_avatar_called(name).for_hand(Handedness.RIGHT)
     rows = []
     for pose in POSES:
-        joints_m = named_pose(pose, avatar.rest_joints_m, handedness=Handedness.RIGHT)
+        joints_m = named_pose(pose, avatar.rest_joints_m, handedness=Handedness.RIGHT, fist=avatar.fist)
         camera = framing_camera(joints_m[None], Handedness.RIGHT, "front", width=SIZE[0], height=SIZE[1])
         frames = [HandRenderer(avatar, preset("final"), light).render(joints_m, camera) for light in LIGHTS.values()]
         rows.append(np.concatenate([flatten(frame.displayed(), BACKGROUND) for frame in frames], 1))

@@ -13,14 +13,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import tyro
 
 from jghand_engine.captures.making.closing import Closing
 from jghand_engine.captures.making.rig import RiggedHand, identity_names, load_identity
-from jghand_engine.captures.making.skin_gaps import HandSkin, SkinGaps
+from jghand_engine.captures.making.skin_gaps import IdentitySkin, SkinGaps
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.hand.skeleton import Skeleton
+from jghand_engine.learn.fist import fist_by_skin
 from jghand_engine.template.mesh import skinned
 
 
@@ -46,10 +48,14 @@ def main(options: Options) -> None:
 
 def driven_gaps(hand: RiggedHand, pose: str) -> SkinGaps:
     """Of an avatar that is exactly this hand in a named pose."""
-    identity = hand.identity
-    joints_m = named_pose(pose, identity.joints_m, handedness=Handedness.RIGHT)
+    identity, skin = hand.identity, IdentitySkin(hand.identity)
     skeleton = Skeleton(identity.joints_m, handedness=Handedness.RIGHT)
-    return HandSkin(identity).gaps(skinned(identity.vertices_m, identity.bone_weights, skeleton, joints_m))
+
+    def gaps(joints_m: np.ndarray) -> SkinGaps:
+        return skin.gaps(skinned(identity.vertices_m, identity.bone_weights, skeleton, joints_m))
+
+    fist = fist_by_skin(identity.joints_m, gaps)
+    return gaps(named_pose(pose, identity.joints_m, handedness=Handedness.RIGHT, fist=fist))
 
 
 if __name__ == "__main__":

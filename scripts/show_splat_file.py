@@ -90,7 +90,7 @@ def psnr_db(one: np.ndarray, other: np.ndarray) -> float:
 def posed(name: str, pose: str) -> tuple[HandAvatar, PoseSequence, Camera]:
     """An avatar in a named pose, and the camera that both renderers look through."""
     avatar = load_avatar_called(name)
-    joints_m = named_pose(pose, avatar.rest_joints_m, handedness=avatar.handedness)
+    joints_m = named_pose(pose, avatar.rest_joints_m, handedness=avatar.handedness, fist=avatar.fist)
     camera = framing_camera(joints_m[None], avatar.handedness, "quarter", width=512, height=512)
     return avatar, PoseSequence(joints_m[None], 30.0, avatar.handedness), camera
 

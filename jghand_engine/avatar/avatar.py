@@ -12,6 +12,7 @@ from jghand_engine.avatar.end_cap import EndCap
 from jghand_engine.avatar.learned import Learned
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS, Handedness
+from jghand_engine.hand.kinematics import NO_FIST, Fist
 from jghand_engine.hand.orders import STANDARD_OF_LEVEL
 from jghand_engine.hand.skeleton import ScaleMode, Skeleton, Transform
 from jghand_engine.hand.wrist import SLICE_COUNT, slice_shares
@@ -86,6 +87,7 @@ class HandAvatar:
     detail:               the texture of what the Gaussians cannot hold; None for none
     own_joints_m:         (21, 3) float64, level order, meters: of the right hand that it stands for, at rest, where
                           its bones are not as long as the canonical hand's; None where they are
+    fist:                 how its fingers touch one another and the palm in named poses; `learn.fist` finds it
     cap:                  what closes it where it ends, of one that is shown; None for nothing. No file has one
     """
 
@@ -101,6 +103,7 @@ class HandAvatar:
     learned: Learned | None = None
     detail: Detail | None = None
     own_joints_m: np.ndarray | None = None
+    fist: Fist = NO_FIST
     cap: EndCap | None = None
 
     def __len__(self) -> int:

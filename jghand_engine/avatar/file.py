@@ -3,7 +3,8 @@
 The safetensors metadata holds one key, `jghand`, a JSON object: format_version, name, template, licence, units (the
 word metres), handedness, joint_names (the order of the joints and of the weight columns), swing, scale_mode, transform,
 storage, gaussians, position_box_m, pose_statistics. own_joints_m, which may be left out, are its joints in standard
-order; so may checksum, the CRC-32 of the bytes of all arrays, in the order of their names. A scale mode is a name or
+order; fist, which may be, too, is that of `HandAvatar`; so may checksum, the CRC-32 of the bytes of all arrays, in the
+order of their names. A scale mode is a name or
 the number of the blended one. transform is that of `AvatarInfo`; `joints` where it is left out. learnt_from, which may
 be left out, is its `learned_from`. The arrays are those of `storage.expected_arrays` and canonical_joints_m (21, 3)
 float64. Files keep the standard joint order; the engine's level order ends here.
@@ -49,6 +50,7 @@ from jghand_engine.avatar.validation import (
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
+from jghand_engine.hand.kinematics import FIST_ROOM_RANGE_PARTS, FIST_TURN_RANGE_DEG, NO_FIST, Fist
 from jghand_engine.hand.orders import JointOrder, from_level, to_level
 from jghand_engine.hand.skeleton import ScaleMode, Swing, Transform, scale_exponent
 from jghand_engine.json_files import JsonObject
@@ -90,6 +92,8 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
     }
     if avatar.own_joints_m is not None:
         description["own_joints_m"] = from_level(avatar.own_joints_m, JointOrder.STANDARD).tolist()
+    if avatar.fist != NO_FIST:
+        description["fist"] = asdict(avatar.fist)
     if avatar.info.learned_from is not None:
         description["learnt_from"] = asdict(avatar.info.learned_from)
     if avatar.learned is not None:
@@ -118,7 +122,7 @@ def stored_form(avatar: HandAvatar, storage: Storage) -> HandAvatar:
     """The avatar that a reader gets back when `avatar` is saved with `storage`."""
     packed, box_m = pack(_arrays(avatar), storage, linear=_is_linear(avatar))
     stored = _avatar(avatar.info, avatar.handedness, avatar.canonical_joints_m, unpack(packed, storage, box_m))
-    stored = replace(stored, own_joints_m=avatar.own_joints_m)
+    stored = replace(stored, own_joints_m=avatar.own_joints_m, fist=avatar.fist)
     if avatar.detail is not None:
         stored = replace(stored, detail=unpack_detail(*pack_detail(avatar.detail, storage), avatar.info.name))
     if avatar.learned is None:
@@ -154,7 +158,7 @@ def _load(file: Path, thing: str) -> HandAvatar:
         raise InputError(f"{thing}: weight_bone", wanted=f"bones 0 to {JOINT_COUNT - 1}", came=came, remedy=REMEDY)
     plain = {name: packed.pop(name) for name in expected_arrays(about.storage, linear=about.is_linear)}
     avatar = _avatar(about.info, about.handedness, joints_m, unpack(plain, about.storage, about.box_m))
-    avatar = replace(avatar, own_joints_m=about.own_joints_m)
+    avatar = replace(avatar, own_joints_m=about.own_joints_m, fist=about.fist)
     if about.learned is not None:
         avatar = _with_learned(avatar, packed, about.learned)
     if about.detail is not None:
@@ -210,6 +214,7 @@ class _Description:
         self.own_joints_m = None
         if "own_joints_m" in content:
             self.own_joints_m = to_level(of.array("own_joints_m", (JOINT_COUNT, 3)), JointOrder.STANDARD)
+        self.fist = _fist(of.object("fist"))
         version = content["format_version"]
         is_learned = PAINTED_VERSION < version <= LIT_VERSION or (version > LIT_VERSION and "learnt" in content)
         learned = of.needed("learnt") if is_learned else None
@@ -229,6 +234,14 @@ def _scale_mode(of: JsonObject) -> ScaleMode:
     except InputError as error:
         raise of.wrong("scale_mode", error.wanted) from error
     return value
+
+
+def _fist(of: JsonObject | None) -> Fist:
+    if of is None:
+        return NO_FIST
+    turns_deg = of.numbers("turns_deg", 3, *FIST_TURN_RANGE_DEG)
+    room_parts = of.numbers("room_parts", 3, *FIST_ROOM_RANGE_PARTS)
+    return Fist(turns_deg, room_parts, of.number("thumb_part", *FIST_ROOM_RANGE_PARTS))
 
 
 def _learned_from(of: JsonObject | None) -> LearnedFrom | None:
@@ -308,7 +321,9 @@ def _arrays(avatar: HandAvatar) -> Arrays:
 
 def _avatar(info: AvatarInfo, handedness: Handedness, joints_m: np.ndarray, arrays: Arrays) -> HandAvatar:
     values = {name: np.ascontiguousarray(arrays[name]) for name in ARRAY_NAMES}
-    return HandAvatar(info, handedness, np.asarray(joints_m, np.float64), learned=None, detail=None, cap=None, **values)
+    return HandAvatar(
+        info, handedness, np.asarray(joints_m, np.float64), learned=None, detail=None, fist=NO_FIST, cap=None, **values
+    )
 
 
 def _with_learned(avatar: HandAvatar, packed: dict[str, np.ndarray], about: LearnedAbout) -> HandAvatar:

@@ -123,4 +123,5 @@ def _from_names(names: str, options: FormatOptions, avatar: HandAvatar) -> PoseS
     fps = options.checked_fps()
     motion = PoseMotionOptions(fps=DEFAULT_FPS if fps is None else fps)
     hand = Handedness(options.hand or Handedness.RIGHT)
-    return pose_sequence_of_names(pose_list(names), avatar.rest_joints_m, handedness=hand, options=motion)
+    poses = pose_list(names)
+    return pose_sequence_of_names(poses, avatar.rest_joints_m, handedness=hand, options=motion, fist=avatar.fist)

@@ -26,6 +26,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import write_png
 from jghand_engine.files import file_error, write_file
 from jghand_engine.learn.checkpoint import LoopState, Snapshot, Stamp, check_fits
+from jghand_engine.learn.fist import with_fist
 from jghand_engine.learn.guard import GUARD_KEEP_STEPS, GUARD_KEEPS_AT_FIRST, find_non_finite, recovered
 from jghand_engine.learn.progress import Display, Silent, Status
 from jghand_engine.learn.schedule import Budget, Every, Timer, stop_requests
@@ -115,7 +116,7 @@ def _finish(training: Trainable, options: RunOptions) -> None:
     try:
         # again: hours may have passed
         check_output(options.out, options.work, overwrite=options.overwrite)
-        write_output(options.out, options.work, training.avatar())
+        write_output(options.out, options.work, with_fist(training.avatar()))
     except InputError as error:
         remedy = f"The training is safe: --resume --work {options.work} with another --out writes its avatar."
         raise InputError(error.thing, wanted=error.wanted, came=error.came, remedy=remedy) from error

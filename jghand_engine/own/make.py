@@ -31,6 +31,7 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import hand_length
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.json_files import read_small_json, write_json
+from jghand_engine.learn.fist import with_fist
 from jghand_engine.lock import locked
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.own.chain import chain_of
@@ -321,7 +322,7 @@ def hand_of(explained: Explained, prior: HandAvatar, work: Path, told: Told) -> 
     told("Finding skin and light", 1, 3)
     if shaped.detail is not None:
         detail = seen_detail(own, shaped.detail, observed.shown, seen.joints_m)
-        own = replace(own, avatar=replace(own.avatar, detail=detail))
+        own = replace(own, avatar=with_fist(replace(own.avatar, detail=detail)))
     told("Finding skin and light", 2, 3)
     report = write_report(work, own, film, held, np.flatnonzero(used))
     told("Finding skin and light", 3, 3)

@@ -139,7 +139,7 @@ def write_report(
 def _sides(avatar: HandAvatar, pose: str, edge_px: int, light: SceneLight | None = None) -> dict[str, np.ndarray]:
     """The palm and the back of a right hand in a named pose, (edge_px, edge_px, 3) uint8: it turns, as it did in the
     film, and camera and light stay. light: None: it shines with its own colors"""
-    palm_m = named_pose(pose, avatar.rest_joints_m, handedness=Handedness.RIGHT)
+    palm_m = named_pose(pose, avatar.rest_joints_m, handedness=Handedness.RIGHT, fist=avatar.fist)
     renderer, pictures = SceneRenderer([avatar], preset("final"), light), {}
     for side, view, joints_m in (("palm", "front", palm_m), ("back", "back", palm_m * (-1.0, 1.0, -1.0))):
         camera = framing_camera(joints_m[None], Handedness.RIGHT, view, width=edge_px, height=edge_px)

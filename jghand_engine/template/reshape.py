@@ -13,6 +13,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M, HandAvatar
 from jghand_engine.avatar.learned import Anchors
+from jghand_engine.hand.kinematics import NO_FIST
 from jghand_engine.hand.rotations import unit
 from jghand_engine.hand.skeleton import Bones, Skeleton
 from jghand_engine.template.closest import ClosestPoints, Surface
@@ -37,7 +38,7 @@ def reshaped(avatar: HandAvatar, faces: np.ndarray, before_m: np.ndarray, after_
     faces:             (F, 3) of a closed surface in the avatar's canonical hand, such as its template's, as fine as the
                        change is
     before_m, after_m: (V, 3) meters; a surface that does not change changes no bit
-    Gaussians that are ellipsoids keep the turn of their axes.
+    Gaussians that are ellipsoids keep the turn of their axes. The fist that its skin wanted is forgotten.
     """
     change = _Change.of(faces, before_m, after_m)
     position_m, stretch = change.places(avatar.position_m)
@@ -51,7 +52,7 @@ def reshaped(avatar: HandAvatar, faces: np.ndarray, before_m: np.ndarray, after_
             learned = learned.with_anchors(_moved(learned.cast.anchors, change), avatar.canonical_joints_m)
     if detail is not None:
         detail = replace(detail, position_m=change.places(detail.position_m)[0])
-    return replace(avatar, position_m=position_m, sigma_m=sigma_m, learned=learned, detail=detail)
+    return replace(avatar, position_m=position_m, sigma_m=sigma_m, learned=learned, detail=detail, fist=NO_FIST)
 
 
 def places_after(points_m: np.ndarray, faces: np.ndarray, before_m: np.ndarray, after_m: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from jghand_engine.avatar.relighting import thrown_back
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.kinematics import NO_FIST, Fist
 from jghand_engine.hand.skeleton import Swing, Transform, scale_exponent
 from jghand_engine.learn.baselines import HaloLikeTransform, transform_of
 from jghand_engine.learn.skeleton import JointTransform
@@ -224,6 +225,19 @@ def test_the_joints_of_a_hand_that_is_not_the_canonical_one_are_kept(tmp_path):
     flat = replace(avatar, own_joints_m=0 * avatar.canonical_joints_m)
     with pytest.raises(InputError, match="flat"):
         save_avatar(tmp_path / "flat.jghand", flat)
+
+
+@pytest.mark.parametrize("storage", Storage)
+def test_the_fist_that_skin_wants_is_kept_and_those_of_no_hand_are_refused(tmp_path, storage):
+    avatar = small_avatar()
+    assert back(tmp_path, avatar, storage).fist == NO_FIST
+    assert "fist" not in parts_of(tmp_path / "hand.jghand")[1]
+    fist = Fist((-1.25, 0.1, 6.0), (0.0, -0.0031, 0.02), 0.0107)
+    thick = replace(avatar, fist=fist)
+    assert back(tmp_path, thick, storage).fist == stored_form(thick, storage).fist == fist
+    for wrong in (Fist((0, 0, 7.0)), Fist((0, 0)), Fist(room_parts=(0, -0.03, 0)), Fist(thumb_part=0.1)):
+        with pytest.raises(InputError, match="fist"):
+            save_avatar(tmp_path / "hand.jghand", replace(avatar, fist=wrong))
 
 
 def test_a_full_disk_leaves_the_old_file_as_it_was(tmp_path, monkeypatch):
