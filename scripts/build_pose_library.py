@@ -27,11 +27,14 @@ from blender_addon.core import poses, posing
 from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
 from blender_addon.core.joints import HANDEDNESSES, LEFT, NAMES, RIGHT
 from blender_addon.core.poses import NamedPose
+from blender_addon.core.view import BUILTIN_AVATAR
 from blender_addon.hand import poses as pose_library
+from blender_addon.hand.avatar_files import SHIPPED_CARDS
 from blender_addon.hand.motion_files import MotionFile, write_motion
 
 # pixels: Blender shows assets at up to 128, and a quarter less than that keeps the file small
 PREVIEW_PX = 96
+FIST = SHIPPED_CARDS[BUILTIN_AVATAR].fist
 # Catalogs of the library: identities must never change, or assets lose their place. Made once at random.
 CATALOGS = {
     ("right", "pose"): ("5d1f8a52-6c07-4b1e-9d0d-0e7a3c1f4b21", "JGHand/Right Hand"),
@@ -44,7 +47,7 @@ CATALOGS = {
 def rendered_poses(engine: Path) -> dict[str, np.ndarray]:
     """Name of a pose -> (H, W, 4) float32 RGBA of the right hand, bottom row first, as the engine renders it."""
     named = poses.ALL_POSES
-    joints_m = np.stack([poses.joints_on(pose.name, posing.rest_joints_m(RIGHT), RIGHT) for pose in named])
+    joints_m = np.stack([poses.joints_on(pose.name, posing.rest_joints_m(RIGHT), RIGHT, FIST) for pose in named])
     with tempfile.TemporaryDirectory() as scratch:
         motion, frames = Path(scratch) / "poses.npz", Path(scratch) / "frames"
         write_motion(motion, MotionFile(joints_m, fps=1.0, handedness=RIGHT))
@@ -76,7 +79,7 @@ def asset_of(pose: NamedPose, side: str, picture: np.ndarray) -> bpy.types.Actio
         curve.keyframe_points.insert(1.0, value)
 
     rest_m = posing.rest_joints_m(side)
-    fingers = poses.pose_on(pose.name, posing.rest_matrices(rest_m, side), side)
+    fingers = poses.pose_on(pose.name, posing.rest_matrices(rest_m, side), side, FIST)
     for bone, turn in fingers.turns.items():
         for index, part in enumerate(turn):
             key(bone, "rotation_quaternion", index, part)

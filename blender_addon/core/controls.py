@@ -29,9 +29,10 @@ JOINT_RANGES_DEG = (
     ((-25.0, 92.0), (-22.0, 25.0), (-5.0, 112.0), (-8.0, 82.0)),
 )
 # the middle and last joints are hinges, with some play (METHOD 4.1); thumb, fingers. The thumb's axes here follow its
-# nail and lie up to 30 degrees from the engine's, so that its hinges seem to bend sideways too and its first joint goes
-# a little further: by what the engine's named poses need (30.4 and 4.1)
-SIDEWAYS_RANGE_DEG = (31.0, 15.0)
+# nail and lie up to 30 degrees from the engine's, so that its hinges seem to bend sideways too, as a pinky's does that
+# leans on its neighbor in a fist, and its first joint goes a little further: by what the engine's named poses need
+# (31.6, 17.0 and 4.1)
+SIDEWAYS_RANGE_DEG = (32.0, 18.0)
 THUMB_PLAY_DEG = 5.0
 # the first bones bend farther against the wrist's bone by what the palm arches under them: the engine's
 # `hand.kinematics.SINK_DEG`, thumb first

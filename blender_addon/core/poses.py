@@ -63,23 +63,24 @@ ALL_POSES = (*(NamedPose(name, POSE, "") for name in shapes.POSES_DEG), *map(_le
 _LETTERS = {_LETTER_NAME.format(letter): letter for letter in shapes.LETTERS_DEG}
 
 
-def joints_on(name: str, rest: np.ndarray, handedness: str) -> np.ndarray:
+def joints_on(name: str, rest: np.ndarray, handedness: str, fist: kinematics.Fist = kinematics.NO_FIST) -> np.ndarray:
     """(21, 3) joints of a pose of the hand with these (21, 3) joints at rest, in their space and unit: fingers are bent
-    until they touch the palm, the thumb until it touches them. shapes.InputError: joints that are no hand's."""
+    until they touch the palm, the thumb until it touches them. fist: of its avatar. shapes.InputError: joints that are
+    no hand's."""
     mirror = _MIRROR if handedness == LEFT else np.ones(3)
-    hand = kinematics.ArchingHand((rest * mirror)[_LEVEL])
+    hand = kinematics.ArchingHand((rest * mirror)[_LEVEL], fist)
     letter = _LETTERS.get(name)
     angles = shapes.angles_on(hand, name) if letter is None else shapes.letter_angles_on(hand, letter)
     return hand.joints(angles[None])[0][np.argsort(_LEVEL)] * mirror
 
 
-def pose_on(name: str, rest: np.ndarray, handedness: str) -> PosedFingers:
-    """A pose of the hand with these (21, 4, 4) rest matrices."""
+def pose_on(name: str, rest: np.ndarray, handedness: str, fist: kinematics.Fist = kinematics.NO_FIST) -> PosedFingers:
+    """A pose of the hand with these (21, 4, 4) rest matrices. fist: of its avatar"""
     try:
-        joints = joints_on(name, rest[:, :3, 3], handedness)
+        joints = joints_on(name, rest[:, :3, 3], handedness, fist)
     except shapes.InputError:  # somebody bent it out of shape at rest: turned as the built-in hand is
         rest = posing.rest_matrices(posing.rest_joints_m(handedness), handedness)
-        joints = joints_on(name, rest[:, :3, 3], handedness)
+        joints = joints_on(name, rest[:, :3, 3], handedness, fist)
     keys = posing.bone_keys(joints[None], rest, handedness, still_wrist=True)
     moving = [place for place in range(len(NAMES)) if place != WRIST and place not in TIPS]
     size = np.linalg.norm(rest[:, :3, 3] - rest[WRIST, :3, 3], axis=-1)

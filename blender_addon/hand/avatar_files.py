@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from ..core import kinematics
 from ..core.joints import NAMES
 from ..core.view import BUILTIN_AVATAR, avatar_stamp
 from ..errors import JGHandFailure
@@ -59,6 +60,7 @@ class Card:
     has_forearm:  whether its skin goes on behind the wrist
     joints_m:     21 places, standard order, of its right hand at rest; None where they are the canonical hand's
     albedo:       mean of its skin, linear Rec.709; None where it is not known
+    fist:         what its skin changes in named poses, see the engine's `Fist`
     """
 
     name: str
@@ -72,6 +74,7 @@ class Card:
     has_forearm: bool = False
     joints_m: tuple[tuple[float, float, float], ...] | None = None
     albedo: tuple[float, float, float] | None = None
+    fist: kinematics.Fist = kinematics.NO_FIST
 
     @property
     def in_scene_light(self) -> str:
@@ -114,6 +117,7 @@ SHIPPED_CARDS = {
         light="known",
         has_forearm=True,
         albedo=(0.655, 0.349, 0.254),
+        fist=kinematics.Fist((0.2136, 1.2678, 6.0), (-0.0055, -0.0099, -0.0039)),
     ),
     "painted": Card(
         name="JGHand painted",
@@ -163,6 +167,13 @@ def albedo_of(avatar: str) -> tuple[float, float, float]:
     with contextlib.suppress(JGHandFailure):
         return card_of(avatar).albedo or MEAN_ALBEDO
     return MEAN_ALBEDO
+
+
+def fist_of(avatar: str) -> kinematics.Fist:
+    """What the skin of an avatar changes in named poses; nothing for one that cannot be read."""
+    with contextlib.suppress(JGHandFailure):
+        return card_of(avatar).fist
+    return kinematics.NO_FIST
 
 
 def has_forearm(avatar: str) -> bool:
@@ -229,6 +240,7 @@ def _card(about: Mapping[str, Any], written: str, albedo: tuple[float, float, fl
         has_forearm=str(about.get("template")).endswith("-forearm"),
         joints_m=_joints(about.get("own_joints_m")),
         albedo=albedo,
+        fist=_fist(about.get("fist")),
     )
 
 
@@ -239,6 +251,18 @@ def _joints(value: Any) -> tuple[tuple[float, float, float], ...] | None:
     if len(joints) != len(NAMES) or not all(math.isfinite(x) for joint in joints for x in joint):
         raise _NoCardError("its joints are no 21 places")
     return joints
+
+
+def _fist(value: Any) -> kinematics.Fist:
+    if value is None:
+        return kinematics.NO_FIST
+    turns, rooms = (tuple(map(float, value[name])) for name in ("turns_deg", "room_parts"))
+    thumb = float(value["thumb_part"])
+    ranges = [kinematics.FIST_TURN_RANGE_DEG] * 3 + [kinematics.FIST_ROOM_RANGE_PARTS] * 4
+    within = (low <= number <= high for number, (low, high) in zip((*turns, *rooms, thumb), ranges, strict=True))
+    if len(turns) != 3 or not all(within):
+        raise _NoCardError("its fist is none")
+    return kinematics.Fist(turns, rooms, thumb)
 
 
 def _accuracy(distilled: Mapping[str, Any]) -> str:

@@ -11,10 +11,11 @@ from .. import ops as common
 from .. import versions
 from ..core import poses
 from ..ops import REGISTERED, InTurns, Reporting, missing, poll_bones, poll_controls, poll_hand, poll_hands
-from . import armature, controls
+from . import armature, avatar_files, controls
 from . import poses as hand_poses
 from .controls import Touched
 from .properties import FINGER_ITEMS, POSES
+from .seen_hands import avatar_of
 
 
 class _Posing(Reporting):
@@ -79,7 +80,8 @@ class ApplyPose(_Posing, bpy.types.Operator):
         return f"{said}.\n{cls.bl_description}" if said else cls.bl_description
 
     def pose_one(self, _context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
-        pose = poses.pose_on(self.pose, armature.rest_matrices_of(hand), armature.handedness_of(hand))
+        rest, fist = armature.rest_matrices_of(hand), avatar_files.fist_of(avatar_of(hand))
+        pose = poses.pose_on(self.pose, rest, armature.handedness_of(hand), fist)
         return hand_poses.take_pose(hand, pose, self.part, hand_poses.chosen_part(hand))
 
 

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from blender_addon.core import kinematics
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import avatar_files
-from blender_addon.hand.avatar_files import MEAN_ALBEDO, SHIPPED_CARDS, albedo_of, card_of, read_card
+from blender_addon.hand.avatar_files import MEAN_ALBEDO, SHIPPED_CARDS, albedo_of, card_of, fist_of, read_card
 
+NO_FIST = kinematics.NO_FIST
 ASSETS = Path(__file__).resolve().parents[2] / "jghand_engine" / "assets"
 
 
@@ -30,7 +32,7 @@ def test_the_cards_of_avatars_that_come_with_jghand_are_those_of_their_files(nam
     read = read_card(ASSETS / file)
     assert read.written
     assert [line for line in read.lines() if line[0] != "Written"] == card_of(name).lines()
-    for fact in ("gaussians", "learned", "light", "has_forearm"):
+    for fact in ("gaussians", "learned", "light", "has_forearm", "fist"):
         assert getattr(read, fact) == getattr(SHIPPED_CARDS[name], fact)
     assert read.albedo == pytest.approx(SHIPPED_CARDS[name].albedo, abs=1e-3)
 
@@ -40,6 +42,34 @@ def test_the_color_of_a_hand_is_the_mean_of_its_skin_as_the_engine_has_it(file):
     avatar = pytest.importorskip("jghand_engine.avatar.file").load_avatar(ASSETS / file)
     mean = pytest.importorskip("jghand_engine.avatar.relighting").covered_mean(avatar, avatar.rgb)
     assert read_card(ASSETS / file).albedo == pytest.approx(mean, rel=1e-3)
+
+
+@pytest.mark.parametrize("file", ["builtin_right.jghand", "hands/strong.jghand"])
+def test_a_card_has_the_fist_that_the_engine_reads(file):
+    avatar = pytest.importorskip("jghand_engine.avatar.file").load_avatar(ASSETS / file)
+    assert read_card(ASSETS / file).fist == avatar.fist != NO_FIST
+    assert fist_of(str(ASSETS / file)) == avatar.fist
+
+
+@pytest.mark.parametrize(
+    "fist",
+    [
+        {"turns_deg": [0, 0, 0]},
+        {"turns_deg": [0, 0, 0], "room_parts": [0, 0, 0]},
+        {"turns_deg": [0, 0, 0], "room_parts": [0, 0], "thumb_part": 0},
+        {"turns_deg": [0, 0, 0, 0], "room_parts": [0, 0], "thumb_part": 0},
+        {"turns_deg": [0, math.nan, 0], "room_parts": [0, 0, 0], "thumb_part": 0},
+        {"turns_deg": [0, 0, 0], "room_parts": [0, 0, 0.5], "thumb_part": 0},
+        {"turns_deg": [0, 0, 0], "room_parts": [0, 0, 0], "thumb_part": -1},
+        [1, 2],
+    ],
+)
+def test_a_fist_that_no_hand_has_is_damage(tmp_path, fist):
+    path = write_avatar(tmp_path / "a.jghand", name="a", gaussians=7, fist=fist)
+    with pytest.raises(JGHandFailure) as caught:
+        read_card(path)
+    assert caught.value.kind == "bad_avatar"
+    assert fist_of(str(path)) == NO_FIST
 
 
 def with_skin(path: Path, **numbers: tuple[float, float, float]) -> Path:

@@ -33,8 +33,9 @@ def test_a_pose_is_what_the_engine_poses_on_that_hand(identity):
     for side in Handedness:
         own_m = rest_m * (-1, 1, 1) if side is Handedness.LEFT else rest_m
         for name in POSES_DEG:
-            wanted = from_level(named_pose(name, canonical_m, handedness=side), JointOrder.STANDARD)
-            np.testing.assert_array_equal(poses.joints_on(name, own_m, side), wanted)
+            for fist in (kinematics.NO_FIST, kinematics.Fist((3.0, -2.0, 1.0), (0.005, 0.0, -0.005), 0.006)):
+                wanted = from_level(named_pose(name, canonical_m, handedness=side, fist=fist), JointOrder.STANDARD)
+                np.testing.assert_array_equal(poses.joints_on(name, own_m, side, fist), wanted)
     hand = kinematics.ArchingHand(canonical_m)
     wanted = from_level(hand.joints(letter_angles_on(hand, "A")[None])[0], JointOrder.STANDARD)
     np.testing.assert_array_equal(poses.joints_on("ASL A", rest_m, RIGHT), wanted)

@@ -1,5 +1,6 @@
 """Add Hand offers other persons' hands by picture: their avatar, and bones as long as theirs."""
 
+import dataclasses
 import zipfile
 from pathlib import Path
 
@@ -10,8 +11,8 @@ from recording_layout import draw
 from test_avatar_cards import write_avatar
 
 from blender_addon import folders
-from blender_addon.core import posing
-from blender_addon.hand import armature, panel, properties, seen_hands
+from blender_addon.core import kinematics, poses, posing
+from blender_addon.hand import armature, avatar_files, panel, properties, seen_hands
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -47,6 +48,21 @@ def test_a_childs_hand_has_its_avatar_and_its_bones(installed, side):
     assert seen_hands.avatar_of(hand) == str(folders.user_folder(seen_hands.HANDS) / "child.jghand")
     joints_m = armature.read_hand(hand, bpy.context.evaluated_depsgraph_get()).joints_m
     np.testing.assert_allclose(joints_m, 0.75 * posing.rest_joints_m(side), atol=1e-6)
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_a_fist_is_that_of_the_hands_own_skin(installed, side, monkeypatch):
+    monkeypatch.setattr(avatar_files, "LOOK_S", 0.0)
+    fist = kinematics.Fist((-5.0, 2.0, 1.0), (0.01, -0.005, 0.0), 0.005)
+    write_avatar(
+        folders.user_folder(seen_hands.HANDS) / "child.jghand", name="child", gaussians=7, fist=dataclasses.asdict(fist)
+    )
+    bpy.ops.jghand.add_hand(handedness=side, avatar="child")
+    bpy.ops.jghand.apply_pose(pose="fist")
+    joints_m = armature.read_hand(bpy.context.object, bpy.context.evaluated_depsgraph_get()).joints_m
+    wanted_m, by_bones_m = (poses.joints_on("fist", posing.rest_joints_m(side), side, *one) for one in ([fist], []))
+    np.testing.assert_allclose(joints_m, wanted_m, atol=1e-6)
+    assert np.abs(wanted_m - by_bones_m).max() > 2e-3
 
 
 def test_the_built_in_hand_is_added_unless_another_is_chosen(installed):

@@ -15,8 +15,9 @@ from blender_addon import preferences, registration, versions
 from blender_addon.core import bone_maps, kinematics, poses, posing
 from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
 from blender_addon.core.joints import HANDEDNESSES, NAMES
+from blender_addon.core.view import BUILTIN_AVATAR
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand import armature, controls, motion, motion_files, sources
+from blender_addon.hand import armature, avatar_files, controls, motion, motion_files, sources
 from blender_addon.hand import poses as hand_poses
 from blender_addon.hand import properties as hand_properties
 from blender_addon.ops import PLUMBING, REGISTERED, UNDOABLE, sentence_of
@@ -55,7 +56,8 @@ def add(side: str = "right", **options: object) -> bpy.types.Object:
 
 
 def posed(name: str, side: str) -> np.ndarray:
-    return poses.joints_on(name, posing.rest_joints_m(side), side)
+    """On the built-in hand."""
+    return poses.joints_on(name, posing.rest_joints_m(side), side, avatar_files.fist_of(BUILTIN_AVATAR))
 
 
 def refuses(operator: Callable[..., object], **options: object) -> str:
@@ -252,7 +254,8 @@ def test_a_fist_and_a_pinch_close_on_the_hand_that_they_are_applied_to(extension
     size_m = kinematics.ArchingHand(joints_m).finger_length_m
     bpy.ops.jghand.apply_pose(pose="fist")
     gaps_m = kinematics.palm_gaps_m(to_level(hands.joints_of(thing), JointOrder.STANDARD)[None])[0]
-    np.testing.assert_allclose(gaps_m, size_m * np.array(kinematics.PALM_GAP_PARTS), atol=1.5e-4)
+    parts = np.add(kinematics.PALM_GAP_PARTS, (0, *avatar_files.fist_of(BUILTIN_AVATAR).room_parts))
+    np.testing.assert_allclose(gaps_m, size_m * parts, atol=1.5e-4)
     bpy.ops.jghand.apply_pose(pose="pinch")
     thumb, index = (hands.joints_of(thing)[NAMES.index(tip)] for tip in ("thumb4", "index4"))
     assert abs(np.linalg.norm(thumb - index) - size_m * kinematics.TIP_THICKNESS_PART) < 1.5e-4

@@ -7,14 +7,17 @@ import pytest
 
 from blender_addon.core import poses, posing
 from blender_addon.core.joints import HANDEDNESSES, NAMES
+from blender_addon.core.view import BUILTIN_AVATAR
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand import armature, controls
+from blender_addon.hand import armature, avatar_files, controls
 from blender_addon.hand import poses as hand_poses
 from blender_addon.hand import poses as pose_library
 
+FIST = avatar_files.fist_of(BUILTIN_AVATAR)
+
 
 def wanted_of(name: str, handedness: str) -> np.ndarray:
-    return poses.joints_on(name, posing.rest_joints_m(handedness), handedness)
+    return poses.joints_on(name, posing.rest_joints_m(handedness), handedness, FIST)
 
 
 def shipped_actions(titles: list[str] | None = None) -> list[bpy.types.Action]:
@@ -66,8 +69,9 @@ def test_every_pose_lies_within_the_joint_limits_of_the_controls(context, handed
     controls.add_controls(context, hand)
     rest = armature.rest_matrices_of(hand)
     for pose in poses.ALL_POSES:
-        hand_poses.take_pose(hand, poses.pose_on(pose.name, rest, handedness))
-        away = np.linalg.norm(hands.joints_of(hand) - wanted_of(pose.name, handedness), axis=-1)
+        hand_poses.take_pose(hand, poses.pose_on(pose.name, rest, handedness, FIST))
+        wanted = poses.joints_on(pose.name, rest[:, :3, 3], handedness, FIST)
+        away = np.linalg.norm(hands.joints_of(hand) - wanted, axis=-1)
         assert away.max() < 5e-7, (pose.name, NAMES[int(away.argmax())], away.max())
 
 
