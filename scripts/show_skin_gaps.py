@@ -4,9 +4,9 @@ negative inside.
     python scripts/show_skin_gaps.py --pose fist
 
 captured: as a capture shows the pose · by bones: the same before its skin is closed · driven: the named pose that
-animators apply, on an avatar that is exactly that hand. Neighbors: index to middle, ring to middle, pinky to ring, the
-mean of the nearest quarter of the last two phalanges. Palm: index to pinky; thumb: to index and middle; the nearest
-hundredth.
+animators apply, on an avatar that is exactly that hand · unknown: the same where its skin is not known. Neighbors:
+index to middle, ring to middle, pinky to ring, the mean of the nearest quarter of the last two phalanges. Palm: index
+to pinky; thumb: to index and middle; the nearest hundredth.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from jghand_engine.captures.making.closing import Closing
 from jghand_engine.captures.making.rig import RiggedHand, identity_names, load_identity
 from jghand_engine.captures.making.skin_gaps import IdentitySkin, SkinGaps
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.kinematics import NO_FIST
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.learn.fist import fist_by_skin
@@ -40,21 +41,22 @@ def main(options: Options) -> None:
             "by bones": closing.gaps(by_bones),
             "captured": closing.gaps(closing.closed(by_bones)),
             "driven": driven_gaps(hand, options.pose),
+            "unknown": driven_gaps(hand, options.pose, is_known=False),
         }
         for kind, gaps in rows.items():
             parts = (gaps.neighbors(), gaps.palm(), gaps.thumb()[:2])
             print(f"{name:14}{kind:10}" + "  ".join("".join(f"{gap:7.1f}" for gap in part) for part in parts))
 
 
-def driven_gaps(hand: RiggedHand, pose: str) -> SkinGaps:
-    """Of an avatar that is exactly this hand in a named pose."""
+def driven_gaps(hand: RiggedHand, pose: str, *, is_known: bool = True) -> SkinGaps:
+    """Of an avatar that is exactly this hand in a named pose. is_known: whether it knows its skin"""
     identity, skin = hand.identity, IdentitySkin(hand.identity)
     skeleton = Skeleton(identity.joints_m, handedness=Handedness.RIGHT)
 
     def gaps(joints_m: np.ndarray) -> SkinGaps:
         return skin.gaps(skinned(identity.vertices_m, identity.bone_weights, skeleton, joints_m))
 
-    fist = fist_by_skin(identity.joints_m, gaps)
+    fist = fist_by_skin(identity.joints_m, gaps) if is_known else NO_FIST
     return gaps(named_pose(pose, identity.joints_m, handedness=Handedness.RIGHT, fist=fist))
 
 

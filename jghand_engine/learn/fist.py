@@ -39,12 +39,16 @@ def with_fist(avatar: HandAvatar) -> HandAvatar:
     """The avatar with the fist that the surface of its detail wants; one without a detail has that of other hands."""
     if avatar.detail is None:
         return avatar
+    return replace(avatar, fist=fist_by_skin(avatar.rest_joints_m, gaps_of(avatar)))
+
+
+def gaps_of(avatar: HandAvatar) -> Callable[[np.ndarray], SkinGaps]:
+    """Of the surface of an avatar's detail, for joints (21, 3) of a right hand. InputError for one without."""
     right = avatar.for_hand(Handedness.RIGHT)
     hand, skeleton = DetailedHand.of(right, 1.0), right.skeleton()
-    bones = avatar.detail.bone_weights[:, 6:].reshape(-1, 3, 5)
-    skin = HandSkin(avatar.detail.faces, bones[:, 0], bones[:, 1:].sum(1))
-    fist = fist_by_skin(avatar.rest_joints_m, lambda joints_m: skin.gaps(hand.posed_m(skeleton.bones(joints_m))))
-    return replace(avatar, fist=fist)
+    bones = hand.detail.bone_weights[:, 6:].reshape(-1, 3, 5)
+    skin = HandSkin(hand.detail.faces, bones[:, 0], bones[:, 1:].sum(1))
+    return lambda joints_m: skin.gaps(hand.posed_m(skeleton.bones(joints_m)))
 
 
 def fist_by_skin(rest_joints_m: np.ndarray, gaps: Callable[[np.ndarray], SkinGaps]) -> Fist:
