@@ -9,15 +9,19 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from small_trainings import read_log
 from stand_in import Notes, StandIn, Stops
 
 from jghand_engine import files
+from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.file import load_avatar
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.export.pictures import read_png
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.kinematics import NO_FIST
 from jghand_engine.learn.checkpoint import Snapshot, load_checkpoint
 from jghand_engine.learn.run import RunOptions, train
 from jghand_engine.learn.schedule import Budget, Every
@@ -64,6 +68,13 @@ def test_a_finished_training_leaves_avatar_log_previews_and_checkpoints(options)
     assert len(load_avatar(options.work / "preview.jghand")) == 50
     first, *_, last = (line["psnr"] for line in read_log(options.work / "log.jsonl") if "psnr" in line)
     assert last > first + 1, "it learns"
+
+
+def test_a_finished_avatar_has_the_fist_that_its_skin_wants(options, monkeypatch):
+    builtin = load_builtin(handedness=Handedness.RIGHT).prefix(50)
+    monkeypatch.setattr(StandIn, "avatar", lambda _: replace(builtin, fist=NO_FIST))
+    train(StandIn, replace(options, budget=Budget(steps=1)))
+    np.testing.assert_allclose(load_avatar(options.out).fist.turns_deg, builtin.fist.turns_deg, atol=2e-3)
 
 
 def test_the_last_two_checkpoints_and_the_best_are_kept(options):

@@ -11,6 +11,8 @@ from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.detail import NO_RATIO, Detail, log_ratios, ratio_bytes
 from jghand_engine.avatar.relief import Relief
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.kinematics import NO_FIST
+from jghand_engine.learn.fist import with_fist
 from jghand_engine.own.detail import TEXELS, Laid, filled, flows_between, seen_detail
 from jghand_engine.own.gather import observe
 from jghand_engine.own.light_and_skin import OwnHand
@@ -115,3 +117,4 @@ def test_the_avatar_of_a_film_has_the_marks_of_its_skin(film, tmp_path):
     # observed 0.74: of seven pictures, in a light that was found; and the Gaussians' own colors have some of the marks,
     # more of them in front, which alone are seen (RENDERING 3)
     assert likeness(avatar.detail.texture) > 0.7
+    assert avatar.fist == with_fist(avatar).fist != NO_FIST
