@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,8 +20,9 @@ from jghand_engine.export.usd.stage import Variant
 from jghand_engine.gpu import choice, device
 from jghand_engine.gpu.blend import GpuBlend
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.kinematics import Fist
 from jghand_engine.hand.orders import JointOrder, from_level
-from jghand_engine.hand.poses import pose_sequence_of_names
+from jghand_engine.hand.poses import named_pose, pose_sequence_of_names
 from jghand_engine.native.library import runnable_variants
 from jghand_engine.render.settings import PRESETS
 
@@ -299,6 +301,14 @@ def test_named_poses_have_the_avatars_bones(avatar):
     canonical = avatar.canonical_joints_m
     measured = np.linalg.norm(canonical[3] - canonical[0])
     assert np.allclose(motion.sequence.bone_lengths_m[:, 2], measured, atol=1e-12)
+
+
+def test_named_poses_close_as_the_avatars_skin_wants(avatar):
+    thick = replace(avatar, fist=Fist((-5.0, 2.0, 1.0)))
+    last, wanted = load_motion(MotionOptions(poses="open, fist"), thick).sequence.joints_m[-1], thick.canonical_joints_m
+    closed = named_pose("fist", wanted, handedness=Handedness.RIGHT, fist=thick.fist)
+    np.testing.assert_allclose(last, closed, atol=1e-12)
+    assert np.abs(last - named_pose("fist", wanted, handedness=Handedness.RIGHT)).max() > 2e-3
 
 
 # ---- the other verbs -------------------------------------------------------------------------------------------------
