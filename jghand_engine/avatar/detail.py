@@ -43,7 +43,7 @@ class Detail:
     relief:       what turns with the light, of as many texels; None for none
     correctives:  what the pose changes beyond skinning; None for nothing
     ends_hand:    whether the surface is so near the skin, in all poses, that pictures end where it does
-    whole:        (V,) float32, 0..1, how much of the hand is shown there where it ends; None: all of it
+    whole:        (V,) float32, 0..1, how much of the hand is shown there where it ends, -1 to -2 on a cap; None: all
     """
 
     position_m: np.ndarray

@@ -26,8 +26,6 @@ EDGE_M = 0.006
 # cosines between the ways from its middle to the eye and out of the hand, over which it comes into sight: from farther
 # aside nobody sees deeper into the end than skin is drawn from both sides (`hidden_from`)
 SEEN_FROM, SEEN_WHOLLY = 0.68, 0.78
-# of its vertices in `Detail.whole`, native/detail.cpp: as much of them is shown as the eye sees of it
-CAP_WHOLE = -1.0
 
 
 @dataclass(frozen=True)
@@ -91,8 +89,9 @@ class Dome:
         place_m, normal = self.at(np.sqrt(1 - height**2), np.arange(GAUSSIANS) * golden_rad)
         return place_m, normal, SIGMA_PART * self._mean_m * float(np.sqrt(np.pi * (1 + BULGE**2) / GAUSSIANS))
 
-    def faces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (V, 3), meters, ring by ring and the middle last; (F, 3) faces, counterclockwise from outside."""
+    def faces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Vertices (V, 3), meters, ring by ring and the middle last; how high (V,) they are, 0 at the edge to 1; (F, 3)
+        faces, counterclockwise from outside."""
         ring, sector = np.divmod(np.arange(RINGS * SECTORS), SECTORS)
         part = np.append(np.sin((ring + 1) / RINGS * np.pi / 2), 0.0)
         place_m, _ = self.at(part, np.append(2 * np.pi / SECTORS * sector, 0.0))
@@ -100,12 +99,16 @@ class Dome:
         beside = own - sector + (sector + 1) % SECTORS
         inner, within = (np.where(ring > 0, of - SECTORS, len(own)) for of in (own, beside))
         around = np.stack([np.stack([inner, own, beside], -1), np.stack([inner, beside, within], -1)], 1)
-        return place_m, np.concatenate([around[ring == 0, 0], around[ring > 0].reshape(-1, 3)])
+        return (
+            place_m,
+            np.sqrt(np.maximum(1 - part**2, 0)),
+            np.concatenate([around[ring == 0, 0], around[ring > 0].reshape(-1, 3)]),
+        )
 
 
 def with_cap(detail: Detail, dome: Dome) -> Detail:
     """The surface of a hand and the faces of its cap, which have one texel that changes next to nothing."""
-    place_m, faces = dome.faces()
+    place_m, height, faces = dome.faces()
     count, edge = len(detail.position_m), dome.edge(detail.position_m)
     nearest = edge[np.square(place_m[:, None] - detail.position_m[edge]).sum(-1).argmin(1)]
     vertices, uv = np.append(np.arange(count), nearest), detail.face_uv.reshape(-1, 2)
@@ -118,5 +121,6 @@ def with_cap(detail: Detail, dome: Dome) -> Detail:
         faces=np.concatenate([detail.faces, (faces + count).astype(np.int32)]),
         face_uv=np.concatenate([detail.face_uv, np.tile(uv[plain], (len(faces), 3, 1))]),
         correctives=None if detail.correctives is None else detail.correctives.of(vertices),
-        whole=np.append(detail.shown, np.full(len(place_m), CAP_WHOLE, np.float32)),
+        # see native/detail_surface.h
+        whole=np.append(detail.shown, -1 - height).astype(np.float32),
     )

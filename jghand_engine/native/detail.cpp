@@ -198,6 +198,8 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
   const vi is_cap = whole[0] < 0;
   // a cap that is not there hides nothing behind it
   if (hand.cap == 0) seen &= ~is_cap;
+  // and skin that fades stands in no lamp's light: its ragged end would be seen on the cap
+  if (hand.facing == 0) seen &= is_cap | (min(min(whole[0], whole[1]), whole[2]) == 1);
   const int64_t stride = (hand.groups + LANES - 1) / LANES * LANES;
   if (!bit_mask(seen)) {
     hand.box[group] = INT32_MAX, hand.box[stride + group] = -1;
@@ -422,8 +424,11 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
       shade<has_relief>(t, hand, at, mine, alpha + t.outline * (filled - alpha), skin, color);
       if (t.outline > 0) {
         const vi solid = bits_at(tile.solid[row], x);
-        const vf faded = clamped(at.at[WHOLE] * (1.f + SHARPER * hand.cap)), with_cap = 1.f - (1.f - faded) * (1.f - hand.cap);
-        const vf whole = select(solid, all(1.f), select(bits_at(tile.capped[row], x), with_cap, faded));
+        // a cap comes into sight from its edge on; sides of others reach a little below 0
+        const vf own = at.at[WHOLE], cap = clamped(2.f * hand.cap + 1.f + own), behind = clamped(all(2.f * hand.cap));
+        const vf faded = clamped(own * (1.f + SHARPER * hand.cap)), with_cap = 1.f - (1.f - faded) * (1.f - behind);
+        const vf at_end = select(own < -0.5f, cap, select(bits_at(tile.capped[row], x), with_cap, faded));
+        const vf whole = select(solid, all(1.f), at_end);
         const vf wanted = filled * whole * covered_part(tile, row, x);
         const vf more = select(mine & (alpha > 0), 1.f + t.outline * (wanted * inverse(alpha) - 1.f), all(1.f));
         if (bit_mask(more != 1)) {

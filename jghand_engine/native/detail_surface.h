@@ -14,7 +14,7 @@ struct DetailHand {
   const int32_t* opposite;   // (groups, 3, 16): rows of the vertices across the sides from a corner to the next; where
                              // no face is across, that corner
   const float* corner_uv;    // (groups, 6, 16): column and row of the texture, 0..1, of each corner
-  const float* whole;        // (rows): 0..1, how much of the hand is shown there; below 0: as much as `cap` says
+  const float* whole;        // (rows): 0..1, how much of the hand is shown there; of a cap -1 at its edge to -2 in its middle
   float* planes;             // (16 groups, 3, 16): see `Plane`
   int32_t* bounds;           // (groups, BOUNDS, 16): pixels x0, x1, y0, y1 of each face whose centers it may cover, both
                              // ends included, and its kind: bits of its sides, each from a corner to the next, that are
@@ -28,7 +28,7 @@ struct DetailHand {
   float fade_from, fade_to;  // m: apart from that depth by this much, detail begins to fade, and is gone
   float strength;            // 0..1; 0: not drawn
   float exponent;            // log2 of a ratio over the range of a texel's channel
-  float cap;                 // 0..1, how much is shown of what closes the hand where it ends
+  float cap;                 // 0..1, how much is seen of the cap that closes the hand where it ends
   // relief
   const LearnedTask* learned;  // whose light falls on it; null: there is none
   const float* normal;       // (blocks, 3, 16) of the vertices at rest, unit

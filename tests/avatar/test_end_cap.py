@@ -113,17 +113,17 @@ def test_a_cap_comes_into_sight_as_the_eye_gets_behind_it(orthographic):
     assert closed.detail is not None
     bones = closed.skeleton().bones(pose(closed))
     shown = []
-    for cosine in (SEEN_FROM, 0.75 * SEEN_FROM + 0.25 * SEEN_WHOLLY, (SEEN_FROM + SEEN_WHOLLY) / 2, SEEN_WHOLLY):
+    for part in (0, 0.25, 0.5, 0.75, 1):
+        cosine = (1 - part) * SEEN_FROM + part * SEEN_WHOLLY
         # of parallel rays the angle is the same at all places
         seen = camera(closed, np.degrees(np.arccos(cosine)), orthographic=True)
         shown.append(closed.cap.seen(bones.linear_offset, bones.root_m, seen.eye_m))
         if orthographic:
-            middle_m = closed.detail.position_m[closed.detail.shown < 0].mean(0) - closed.canonical_joints_m[0]
-            posed_m = bones.linear_offset[0, :, :3] @ middle_m + bones.linear_offset[0, :, 3] + bones.root_m
-            column, row = seen.project(posed_m[None])[0][0].astype(int)
-            assert drawn(closed, seen, EVEN)[row, column, 3] == pytest.approx(shown[-1], abs=0.03)
+            # from its edge on: its middle comes last
+            column, row = cap_px(closed, seen)[-1]
+            assert drawn(closed, seen, EVEN)[row, column, 3] == pytest.approx(max(2 * shown[-1] - 1, 0), abs=0.03)
     # smoothly between
-    assert shown == pytest.approx([0, 5 / 32, 0.5, 1], abs=0.02)
+    assert shown == pytest.approx([0, 5 / 32, 0.5, 27 / 32, 1], abs=0.02)
 
 
 def test_hands_that_no_surface_ends_have_none():
