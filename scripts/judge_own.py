@@ -39,6 +39,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.evaluate import AvatarPicturer
 from jghand_engine.own.film import FilmPictures, open_source
+from jghand_engine.own.fit_outlines import shape_of_outlines
 from jghand_engine.own.hand_fit import FittedHand
 from jghand_engine.own.make import FIT, MASKS, PICTURES, START, Begun, Explained, OwnOptions, begin, hand_of
 from jghand_engine.own.masks import wrist_side
@@ -58,7 +59,7 @@ BUILT_IN, TINTED = "built-in", "built-in, tinted"
 @dataclass(frozen=True)
 class Options:
     """films: folder of folders with film.mp4, truth.npz and capture/ · photographs: also five pictures of each film ·
-    exact: also with joints and masks that are known, of the shape that the film gave · built_in: also what is won over
+    exact: also with joints and masks that are known · built_in: also what is won over
     the built-in hand, see `built_in_hands` · faults: also what a look at the films without capture/ tells, before any
     fit · page: gets the tables"""
 
@@ -222,13 +223,14 @@ def photographs(folder: Path) -> list[Path]:
 
 
 def make_exact(folder: Path, out: Path) -> None:
-    """The skin of the film on the hand that stands where it truly stood, cut out by the true masks."""
+    """Shape and skin of the film, of the hand that stands where it truly stood, cut out by the true masks."""
     work, prior = folder / f"{AVATAR['film']}.own", load_builtin(handedness=Handedness.RIGHT)
     pictures, start, fitted = FilmPictures.load(work / PICTURES), Start.load(work / START), FittedHand.load(work / FIT)
     whole = Truth.of(folder, pictures)
     truth = whole.within(fitted.camera, shrunk_by(work, whole.camera))
     nothing = np.zeros(len(pictures))
-    known = replace(fitted, camera=truth.camera, joints_m=truth.joints_m, outline_residual=nothing)
+    shape = shape_of_outlines(prior, fitted.shape, truth.joints_m, truth.camera, truth.masks)
+    known = replace(fitted, camera=truth.camera, joints_m=truth.joints_m, shape=shape, outline_residual=nothing)
     out.with_suffix(".own").mkdir(exist_ok=True)
     avatar, _ = hand_of(
         Explained(Begun(start, pictures, start, []), known, truth.masks),

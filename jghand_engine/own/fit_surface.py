@@ -82,7 +82,7 @@ class FitSurface:
     @cached_property
     def basis(self) -> Tensor:
         """(SHAPE_COUNT, N, 3) see shape.shape_basis."""
-        return torch.from_numpy(shape_basis(self._few)).to(self._dtype)
+        return torch.from_numpy(shape_basis(self._few, self._few.position_m)).to(self._dtype)
 
     @torch.no_grad()
     def keep(self, joints_m: Tensor) -> Kept:

@@ -26,6 +26,7 @@ from jghand_engine.hand.sequence import bone_directions, rebuilt
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.own.chain import Chain, chain_of, rotation
 from jghand_engine.own.fit_colors import SkinColors, skin_colors
+from jghand_engine.own.fit_outlines import STEPS, OutlineSurface, Sought, outline_step
 from jghand_engine.own.fit_surface import FIT_GAUSSIANS, FitSurface, Kept, outline_factor
 from jghand_engine.own.fit_terms import (
     Evidence,
@@ -70,6 +71,17 @@ DETECTOR_WEIGHTS, DETECTOR_WEIGHTS_WITH_PICTURES = (0.05, 0.05), (0.03, 0.03)
 OUTLINE_WEIGHT, COLOR_WEIGHT = 4.0, 4.0
 # of so many poses the size of outlines is calibrated
 CALIBRATION_POSES = 3
+# how far outlines are likely to take what stands, as RATES; least is known of places along the camera's axis. Half and
+# twice as much, the same for bones and a third of it, change finger bones by 0.1 degrees and pictures by 0.1 dB
+OUTLINE_SPREADS = {
+    "angle_rad": (math.radians(10.0),) * 20,
+    "turn_rad": (math.radians(8.0),) * 3,
+    "place_m": (0.006, 0.006, 0.04),
+    "log_length": (0.02,) * 20,
+    "palm_shift_m": (0.0015,) * 15,
+}
+# by so much numbers grow to see what the joints do
+DIFFERENCE = 1e-3
 _NPZ_BYTES_MAX = 2**26
 
 # of pictures (B,) and their joints (B, 21, 3)
@@ -258,10 +270,50 @@ class HandFit:
             self.done, self.spent_s = self.done + 1, time.monotonic() - started
             ended()
         tick(self.done, self.done)
+        if self.prior.detail is not None:
+            self.fit_outlines(masks)
         shown = self._shown(rgb_u8, masks, factor)
         with torch.no_grad():
             left = shown.errors(self.everything, self.joints(self.everything), self.unknowns.shape)
         self.outline_residual = left[:, 0].numpy()
+
+    @torch.no_grad()
+    def fit_outlines(self, masks: np.ndarray) -> None:
+        """By the outlines of masks (F, H, W) alone, from a fit that is near, which what is sought stays near."""
+        now = vars(self.unknowns)
+        sought = [name for name in OUTLINE_SPREADS if now[name].requires_grad]
+        of_poses, of_hand = ([name for name in sought if (name in POSE_NUMBERS) == own] for own in (True, False))
+        start = {name: now[name].clone() for name in sought}
+        surface = OutlineSurface(self.prior, now["shape"].double().numpy(), is_known=not now["shape"].requires_grad)
+        for _ in range(STEPS):
+            both = self._sought(of_poses, start), self._sought(of_hand, start)
+            joints_m = self.joints(self.everything).double().numpy()
+            moved, grown = outline_step(surface, joints_m, self.start.camera, masks, *both)
+            of_shape, grown = np.split(grown, [len(surface.basis)])
+            for names, change in ((of_poses, moved), (of_hand, grown)):
+                ends = np.cumsum([len(OUTLINE_SPREADS[name]) for name in names]).astype(int)
+                for name, part in zip(names, np.split(change, ends, -1), strict=False):
+                    now[name] += torch.from_numpy(part).reshape(now[name].shape)
+            if len(of_shape):
+                surface.in_shape(surface.shape + of_shape)
+        now["shape"].copy_(torch.from_numpy(surface.shape))
+
+    def _sought(self, names: Sequence[str], start: dict[str, Tensor]) -> Sought:
+        """Numbers that outlines may change: all of the pictures', or all of the hand's."""
+        before = self.joints(self.everything)
+        rows = () if not names or names[0] not in POSE_NUMBERS else (len(self),)
+        off, slopes, spread = [torch.zeros((*rows, 0))], [torch.zeros(len(self), 63, 0)], [np.zeros(0)]
+        for name in names:
+            numbers = getattr(self.unknowns, name).view((*rows, -1))
+            off.append(numbers - start[name].view((*rows, -1)))
+            spread.append(np.array(OUTLINE_SPREADS[name]))
+            for column in range(numbers.shape[-1]):
+                kept = numbers[..., column].clone()
+                numbers[..., column] += DIFFERENCE
+                slopes.append((self.joints(self.everything) - before).view((len(self), 63, 1)) / DIFFERENCE)
+                numbers[..., column] = kept
+        by_number, away = (torch.cat(each, -1).double().numpy() for each in (slopes, off))
+        return Sought(by_number, away, np.concatenate(spread))
 
     def _picture_cost(self, rgb_u8: np.ndarray, masks: np.ndarray, factor: float, colors: SkinColors) -> Cost:
         """With the crops, the wrist's line and what the pose's network adds as they are now."""

@@ -26,12 +26,12 @@ def in_shape(avatar: HandAvatar, shape: np.ndarray) -> HandAvatar:
     return reshaped(avatar, template.faces, template.vertices_m, after_m)
 
 
-def shape_basis(avatar: HandAvatar) -> np.ndarray:
-    """(SHAPE_COUNT, N, 3) float32 how far each shape carries the canonical Gaussians, meters."""
+def shape_basis(avatar: HandAvatar, place_m: np.ndarray) -> np.ndarray:
+    """(SHAPE_COUNT, N, 3) float32 how far each shape carries places (N, 3) of an avatar's canonical hand, meters."""
     template = template_called(avatar.info.template)
     after_m = template.vertices_m + _STEP * _shapes(forearm=avatar.has_forearm)
-    moved = places_after(avatar.position_m, template.faces, template.vertices_m, after_m).astype(np.float64)
-    return ((moved - avatar.position_m) / _STEP).astype(np.float32)
+    moved = places_after(place_m, template.faces, template.vertices_m, after_m).astype(np.float64)
+    return ((moved - place_m) / _STEP).astype(np.float32)
 
 
 @functools.cache

@@ -14,7 +14,7 @@ PRIOR = replace(load_builtin(handedness=Handedness.RIGHT).prefix(500), detail=No
 
 @pytest.fixture(scope="module")
 def basis() -> np.ndarray:
-    return shape_basis(PRIOR)
+    return shape_basis(PRIOR, PRIOR.position_m)
 
 
 def test_an_avatar_in_no_other_shape_is_itself():
