@@ -117,7 +117,7 @@ def test_a_finger_that_is_aside_in_one_picture_goes_back_and_is_no_thicker(prior
     poses = poses_of(COUNT)
     turned = poses.turn @ vector_rotation(0.02 * np.random.default_rng(2).standard_normal((COUNT, 3)))
     angle = poses.angle_rad.copy()
-    angle[0, 5] += 0.12
+    angle[0, 5] += 0.03
     fit = fit_of(prior, camera, joints_m, Poses(turned, poses.place_m + np.array([0.002, -0.001, 0.0]), angle))
     with torch.no_grad():
         fit.unknowns.shape += torch.from_numpy(THICK)
@@ -128,11 +128,11 @@ def test_a_finger_that_is_aside_in_one_picture_goes_back_and_is_no_thicker(prior
         np.linalg.norm(camera.project(one.joints_m)[0] - camera.project(joints_m)[0], axis=-1)
         for one in (before, after)
     ]
-    assert np.median(off_px[1][:, 6:]) < 0.4 * np.median(off_px[0][:, 6:]), "seen: 0.06"
-    assert off_px[1][0, 17] < 0.4 * off_px[0][0, 17], "the index finger's tip, seen: 0.01"
+    assert np.median(off_px[1][:, 6:]) < 0.4 * np.median(off_px[0][:, 6:]), "seen: 0.05"
+    assert off_px[1][0, 17] < 0.4 * off_px[0][0, 17], "the index finger's tip, seen: 0.03"
     change_m = skin_of(prior, after.shape) - skin_of(prior, THICK)
     index = prior.detail.bone_weights[:, [7, 12, 17]].sum(1) > 0.9
-    assert np.linalg.norm(change_m[index], axis=1).mean() < 3e-4, "seen: 0.1 mm"
+    assert np.linalg.norm(change_m[index], axis=1).mean() < 1e-4, "seen: 0.03 mm"
 
 
 @pytest.mark.usefixtures("quick")
