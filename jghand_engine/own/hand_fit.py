@@ -71,8 +71,8 @@ DETECTOR_WEIGHTS, DETECTOR_WEIGHTS_WITH_PICTURES = (0.05, 0.05), (0.03, 0.03)
 OUTLINE_WEIGHT, COLOR_WEIGHT = 4.0, 4.0
 # of so many poses the size of outlines is calibrated
 CALIBRATION_POSES = 3
-# how far outlines are likely to take what stands, as RATES; least is known of places along the camera's axis. Half and
-# twice as much, the same for bones and a third of it, change finger bones by 0.1 degrees and pictures by 0.1 dB
+# how far outlines are likely to take what stands, as RATES; least is known of places along the camera's axis. Half or
+# twice as much hardly matters
 OUTLINE_SPREADS = {
     "angle_rad": (math.radians(10.0),) * 20,
     "turn_rad": (math.radians(8.0),) * 3,
