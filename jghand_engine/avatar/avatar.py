@@ -170,8 +170,17 @@ class HandAvatar:
         """
         if count <= 0 or count >= len(self):
             return self
-        shorter, scale = self.rows(slice(count)), sigma_scale_for_prefix(count, len(self))
-        return replace(shorter, sigma_m=grown_radii(shorter.sigma_m, scale, shorter.uvd[:, 2]))
+        cap = slice(0, 0) if self.cap is None else self.cap.rows
+        size = cap.stop - cap.start
+        # those of a cap are there besides
+        before, after = min(count, cap.start), max(count - cap.start, 0)
+        numbers = np.arange(len(self))
+        which = np.concatenate([numbers[:before], numbers[cap], numbers[cap.stop :][:after]])
+        shorter, scale = self.rows(which), sigma_scale_for_prefix(count, len(self) - size)
+        sigma_m, own = grown_radii(shorter.sigma_m, scale, shorter.uvd[:, 2]), slice(before, before + size)
+        sigma_m[own] = shorter.sigma_m[own]
+        kept = None if self.cap is None else replace(self.cap, rows=own)
+        return replace(shorter, sigma_m=sigma_m, cap=kept)
 
     def rows(self, which: np.ndarray | slice) -> HandAvatar:
         """The same with these of its Gaussians, by their numbers, in this order."""

@@ -13,19 +13,24 @@ import numpy as np
 from jghand_engine.avatar.detail import NO_RATIO, Detail
 from jghand_engine.hand.rotations import unit
 
-# Gaussians of a cap, 2 mm apart on a forearm; of its faces the rings around the middle, and the corners of each
-GAUSSIANS, RINGS, SECTORS = 600, 8, 48
+# Gaussians of a cap, 2 mm apart on a forearm, and how many faces along its sides, two of which make a square
+GAUSSIANS, SQUARES = 600, 14
 # of Gaussians: sigma over the way between neighbors, by which their sum is even to a hundredth
 SIGMA_PART = 0.7
-# how far its edge is before that of the skin, meters, and its radius over that of the skin there: below it
+# how far its edge is before that of the skin, meters, and its radius over that of the skin, there or nearer to the end,
+# which is less: it lies below it
 WITHIN_M, BELOW = 0.012, 0.985
+# how far around its middle the skin's radius is a mean, radians
+AROUND_RAD = 0.07
 # how far it bulges, over its mean radius: so that light changes evenly from the skin to its middle
 BULGE = 0.7
-# skin so near to the plane of its edge says where that lies, and which color it has, meters
+# skin so near to the plane of its edge goes on as it, meters
 EDGE_M = 0.006
 # cosines between the ways from its middle to the eye and out of the hand, over which it comes into sight: from farther
 # aside nobody sees deeper into the end than skin is drawn from both sides (`hidden_from`)
 SEEN_FROM, SEEN_WHOLLY = 0.68, 0.78
+# ... where nothing but Gaussians shows where a hand ends
+SEEN_BARE = (0.0, 0.1)
 
 
 @dataclass(frozen=True)
@@ -36,19 +41,21 @@ class EndCap:
     weights: (maps,) of what moves it
     rest_m:  (3,) canonical, its middle, from the wrist, meters
     way:     (3,) canonical, out of the hand
+    seen_at: cosines of the eye over which it comes into sight
     """
 
     rows: slice
     weights: np.ndarray
     rest_m: np.ndarray
     way: np.ndarray
+    seen_at: tuple[float, float] = (SEEN_FROM, SEEN_WHOLLY)
 
     def seen(self, linear_offset: np.ndarray, shift_m: np.ndarray, eye_m: np.ndarray) -> float:
         """0..1, how much of it an eye at (3,) sees. linear_offset: (maps, 3, 4) of a pose · shift_m: (3,) its wrist"""
         moves = np.tensordot(self.weights, linear_offset, 1)
         middle_m, way = moves @ (*self.rest_m, 1.0) + shift_m, moves[:, :3] @ self.way
         cosine = float(unit(way) @ unit(eye_m - middle_m))
-        part = min(max((cosine - SEEN_FROM) / (SEEN_WHOLLY - SEEN_FROM), 0.0), 1.0)
+        part = min(max((cosine - self.seen_at[0]) / (self.seen_at[1] - self.seen_at[0]), 0.0), 1.0)
         return part * part * (3 - 2 * part)
 
 
@@ -62,21 +69,31 @@ class Dome:
         self.way, self._along_m = way, end_m - WITHIN_M
         across = unit(np.cross(way, [0.0, 0.0, 1.0]))
         self._axes = np.stack([across, np.cross(way, across)])
-        edge_m = skin_m[self.edge(skin_m)].astype(np.float64)
-        self._middle_m = edge_m.mean(0)
+        skin_m = skin_m.astype(np.float64)
+        self._middle_m = skin_m[self.edge(skin_m)].mean(0)
         self._middle_m += (self._along_m - self._middle_m @ way) * way
-        flat_m = (edge_m - self._middle_m) @ self._axes.T
-        self._angle_rad, self._radius_m = np.arctan2(flat_m[:, 1], flat_m[:, 0]), np.linalg.norm(flat_m, axis=1)
-        self._mean_m = float(self._radius_m.mean())
+        self._outlines = [self._outline(skin_m[self.edge(skin_m, beyond_m)]) for beyond_m in (0.0, WITHIN_M / 2)]
+        self._mean_m = float(self._outlines[0][1].mean())
 
-    def edge(self, position_m: np.ndarray) -> np.ndarray:
-        """Numbers of the places (N, 3), meters, that are near its plane."""
-        return np.flatnonzero(np.abs(position_m @ self.way - self._along_m) < EDGE_M)
+    def edge(self, position_m: np.ndarray, beyond_m: float = 0.0) -> np.ndarray:
+        """Numbers of the places (N, 3), meters, that are near its plane, or one so far out of the hand."""
+        return np.flatnonzero(np.abs(position_m @ self.way - self._along_m - beyond_m) < EDGE_M)
+
+    def _outline(self, skin_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Angles and radii (V,), meters, of places (V, 3)."""
+        flat_m = (skin_m - self._middle_m) @ self._axes.T
+        return np.arctan2(flat_m[:, 1], flat_m[:, 0]), np.linalg.norm(flat_m, axis=1)
+
+    def _radius_m(self, angle_rad: np.ndarray) -> np.ndarray:
+        radii_m = []
+        for of_skin_rad, radius_m in self._outlines:
+            near = np.exp((np.cos(angle_rad[:, None] - of_skin_rad) - 1) / AROUND_RAD**2)
+            radii_m.append((near @ radius_m) / near.sum(1))
+        return BELOW * np.minimum(*radii_m)
 
     def at(self, part: np.ndarray, angle_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Places (N, 3), meters, and unit normals (N, 3) at parts (N,) of the radius and angles around the middle."""
-        near = np.exp((SECTORS / np.pi) ** 2 * (np.cos(angle_rad[:, None] - self._angle_rad) - 1))
-        radius_m = BELOW * (near @ self._radius_m) / near.sum(1)
+        radius_m = self._radius_m(angle_rad)
         radial = np.stack([np.cos(angle_rad), np.sin(angle_rad)], -1) @ self._axes
         height, bulge_m = np.sqrt(np.maximum(1 - part**2, 0)), BULGE * self._mean_m
         place_m = self._middle_m + (part * radius_m)[:, None] * radial + (height * bulge_m)[:, None] * self.way
@@ -90,20 +107,19 @@ class Dome:
         return place_m, normal, SIGMA_PART * self._mean_m * float(np.sqrt(np.pi * (1 + BULGE**2) / GAUSSIANS))
 
     def faces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Vertices (V, 3), meters, ring by ring and the middle last; how high (V,) they are, 0 at the edge to 1; (F, 3)
-        faces, counterclockwise from outside."""
-        ring, sector = np.divmod(np.arange(RINGS * SECTORS), SECTORS)
-        part = np.append(np.sin((ring + 1) / RINGS * np.pi / 2), 0.0)
-        place_m, _ = self.at(part, np.append(2 * np.pi / SECTORS * sector, 0.0))
-        own = np.arange(RINGS * SECTORS)
-        beside = own - sector + (sector + 1) % SECTORS
-        inner, within = (np.where(ring > 0, of - SECTORS, len(own)) for of in (own, beside))
-        around = np.stack([np.stack([inner, own, beside], -1), np.stack([inner, beside, within], -1)], 1)
-        return (
-            place_m,
-            np.sqrt(np.maximum(1 - part**2, 0)),
-            np.concatenate([around[ring == 0, 0], around[ring > 0].reshape(-1, 3)]),
-        )
+        """Vertices (V, 3), meters; how high (V,) they are, 0 at the edge to 1; (F, 3) faces, counterclockwise from
+        outside. A square that is laid on a disc (Shirley and Chiu 1997): no vertex has more than six faces."""
+        side = np.arange(SQUARES + 1)
+        y, x = (each.ravel() for each in np.meshgrid(2 * side / SQUARES - 1, 2 * side / SQUARES - 1, indexing="ij"))
+        is_wide, part = np.abs(x) > np.abs(y), np.maximum(np.abs(x), np.abs(y))
+        longer, shorter = np.where(is_wide, x, y), np.where(is_wide, y, x)
+        turn_rad = np.pi / 4 * np.divide(shorter, longer, out=np.zeros_like(x), where=longer != 0)
+        angle_rad = np.where(is_wide, turn_rad, np.pi / 2 - turn_rad) + np.where(longer < 0, np.pi, 0)
+        place_m, _ = self.at(np.sin(part * np.pi / 2), angle_rad)
+        first = (side[:-1, None] * (SQUARES + 1) + side[:-1]).ravel()
+        corners = first, first + 1, first + SQUARES + 2, first + SQUARES + 1
+        faces = np.concatenate([np.stack([corners[0], corners[k], corners[k + 1]], -1) for k in (1, 2)])
+        return place_m, np.cos(part * np.pi / 2), faces
 
 
 def with_cap(detail: Detail, dome: Dome) -> Detail:

@@ -12,7 +12,6 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
 from jghand_engine.avatar.end_cap import GAUSSIANS, Dome, EndCap, with_cap
-from jghand_engine.avatar.learned import anchors_around
 
 # identifiers of the built-in hand's templates begin so
 BUILTIN_TEMPLATE = "makehuman-soma-right-1"
@@ -30,8 +29,8 @@ WRIST_FADE_M = (0.003, 0.015)
 # cosine to the eye from which on skin is drawn: a fifth of the raster is saved, and pictures stay as they are. All is
 # drawn so far, meters, before its end: few Gaussians lie there, whose gaps those of the far side close
 HIDDEN_FROM, OPEN_M = -0.3, 0.05
-# of a cap: opacity of its Gaussians, and how far color reaches from its edge, meters: no streaks towards the middle
-CAP_OPACITY, CAP_BLUR_M = 0.95, 0.01
+# of the Gaussians of a cap
+CAP_OPACITY = 0.95
 # about so many Gaussians lie over one another in a hand's skin: each fades sooner, so that all together fade evenly
 LAYERS = 6
 
@@ -39,7 +38,7 @@ LAYERS = 6
 def ended(avatar: HandAvatar, *, forearm: bool = True) -> HandAvatar:
     """The avatar as it is shown: faded out at the end of its forearm, or, without one or where it is not wanted, at the
     wrist. An avatar on an unknown template stays as it is."""
-    end = end_of(avatar, forearm=forearm)
+    end = _end_of(avatar, forearm=forearm)
     if end is None:
         return avatar
     if not forearm:
@@ -61,34 +60,27 @@ def ended(avatar: HandAvatar, *, forearm: bool = True) -> HandAvatar:
 def capped(avatar: HandAvatar) -> HandAvatar:
     """A hand that is shown (`ended`) with a cap, in rows behind those of its anchors, which lie on the first ones.
     One that no surface ends stays as it is."""
-    detail, learned, end = avatar.detail, avatar.learned, end_of(avatar, forearm=avatar.has_forearm)
+    detail, learned, end = avatar.detail, avatar.learned, _end_of(avatar, forearm=avatar.has_forearm)
     if detail is None or not detail.ends_hand or detail.whole is None or learned is None or end is None:
         return avatar
     way, end_m, (none_m, _) = end
     dome = Dome(detail.position_m, -way, -(end_m + none_m))
     skin_m, normal, sigma_m = dome.gaussians()
     position_m = (skin_m - detail.depth_m * normal).astype(np.float32)
+    # in all else they are as their neighbors in the skin
     edge = dome.edge(avatar.position_m)
-    apart2_m2 = np.square(position_m[:, None] - avatar.position_m[edge]).sum(-1)
-    share = 1 / (apart2_m2 + CAP_BLUR_M**2)
-    share /= share.sum(1, keepdims=True)
+    near = edge[np.square(position_m[:, None] - avatar.position_m[edge]).sum(-1).argmin(1)]
     first = 0 if learned.cast is None else len(learned.cast.anchors)
     rows, own = slice(first, first + GAUSSIANS), np.arange(len(avatar))
-    more = avatar.rows(np.concatenate([own[:first], edge[apart2_m2.argmin(1)], own[first:]]))
-    learned = more.learned
-    assert learned is not None, "rows of an avatar have what it has"
+    more = avatar.rows(np.concatenate([own[:first], near, own[first:]]))
+    assert more.learned is not None, "rows of an avatar have what it has"
     for array, values in (
         (more.position_m, position_m),
         (more.sigma_m, sigma_m),
         (more.opacity, CAP_OPACITY),
-        (more.rgb, share @ avatar.rgb[edge]),
-        (more.bone_weights, share.mean(0) @ avatar.bone_weights[edge]),
-        (learned.normal, normal),
+        (more.learned.normal, normal),
     ):
         array[rows] = values
-    if learned.cast is not None:
-        anchors = learned.cast.anchors
-        anchors.nearest[rows], anchors.share[rows] = anchors_around(anchors, position_m)
     weights = avatar.map_weights(skin_m, more.bone_weights[rows]).mean(0)
     cap = EndCap(rows, weights, skin_m.mean(0) - avatar.canonical_joints_m[0], dome.way)
     return replace(more, detail=with_cap(detail, dome), cap=cap)
@@ -105,7 +97,7 @@ def hidden_from(position_m: np.ndarray, opacity: np.ndarray, cap: EndCap | None 
     return hidden
 
 
-def end_of(avatar: HandAvatar, *, forearm: bool) -> tuple[np.ndarray, float, tuple[float, float]] | None:
+def _end_of(avatar: HandAvatar, *, forearm: bool) -> tuple[np.ndarray, float, tuple[float, float]] | None:
     """The way from where it ends into it (3,), where its end is along that, meters, and how far before it nothing and
     all is shown; None: it is shown wherever it is."""
     if forearm and avatar.has_forearm:

@@ -224,8 +224,8 @@ class Poser:
             return False
         self._seen = (*eye_m, *parts)
         light.task.eye = tuple(eye_m)
-        shift_m = np.array(self._skin.shift)
-        light.task.from_behind = self._cap is not None and self._cap.seen(self._stands[0], shift_m, eye_m) > 0
+        if self._cap is not None:
+            light.task.from_behind = self._cap.seen(self._stands[0], np.array(self._skin.shift), eye_m)
         light.draw_apart(apart)
         self._gloss_team.fill(0)
         return True

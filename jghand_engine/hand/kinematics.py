@@ -89,7 +89,7 @@ class Fist:
 
 # that of the table of poses, for a hand whose skin is not known
 NO_FIST = Fist()
-# the least and the largest changes: hands want -8 to 5 degrees and a hundredth of the length. 9 degrees more than the
+# the least and the largest changes: hands want -8 to 6 degrees and a hundredth of the length. 9 degrees more than the
 # table has, with those of the ring finger, end the pinky's range
 FIST_TURN_RANGE_DEG, FIST_ROOM_RANGE_PARTS = (-9.0, 6.0), (-0.02, 0.02)
 
@@ -220,11 +220,8 @@ class ArticulatedHand:
             joints[:, thumb][:, None], joints[:, thumb + 5][:, None], joints[:, bones], joints[:, bones + 5]
         )
         gaps = np.linalg.norm(ways, axis=-1)
-        deep = (
-            (size_m * (np.array(BESIDE_PARTS) + self.fist.thumb_part) - gaps[:, :-1].min(-1))
-            .clip(0)
-            .reshape(len(joints), -1)
-        )
+        beside_m = size_m * (np.array(BESIDE_PARTS) + self.fist.thumb_part)
+        deep = (beside_m - gaps[:, :-1].min(-1)).clip(0).reshape(len(joints), -1)
         # of the thumb's last bone to the nearer one
         to_it = np.where(gaps[:, -1, 1, :1] < gaps[:, -1, 1, 1:], ways[:, -1, 1, 0], ways[:, -1, 1, 1])
         return np.concatenate([to_it - (REST_PART + self.fist.thumb_part) * size_m * unit(to_it), deep], axis=1)

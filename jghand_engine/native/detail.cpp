@@ -37,6 +37,7 @@ constexpr float BEFORE_LAST = 1.f + 1.f / 2048;  // texels: look-ups end so far 
 constexpr int FLOAT_BIAS = 127, FLOAT_FRACTION_BITS = 23, FLOAT_ONE = FLOAT_BIAS << FLOAT_FRACTION_BITS;
 constexpr int PICTURE_PLANES = 5, ALPHA = 3, DEPTH = 4;
 constexpr float FILLED_FROM = 1.f / 64;  // alpha from which on a pixel is the hand's wholly: enough to know its color
+constexpr float CAP_SOFT = 0.2f;  // part of a cap's height over which it ends while it comes into sight
 constexpr float SHARPER = 4.f;  // how much more is shown of what fades where a cap closes it, which begins there
 constexpr float LIGHT_LEAST = 0.4f, LIGHT_MOST = 2.5f;  // of what relief makes of light: a slope is no first order there
 
@@ -424,8 +425,9 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
       shade<has_relief>(t, hand, at, mine, alpha + t.outline * (filled - alpha), skin, color);
       if (t.outline > 0) {
         const vi solid = bits_at(tile.solid[row], x);
-        // a cap comes into sight from its edge on; sides of others reach a little below 0
-        const vf own = at.at[WHOLE], cap = clamped(2.f * hand.cap + 1.f + own), behind = clamped(all(2.f * hand.cap));
+        // a cap comes into sight from its edge on, where it lies close to the skin; sides of others reach a little below 0
+        const vf own = at.at[WHOLE], height = -1.f - own, behind = clamped(all(2.f * hand.cap));
+        const vf cap = clamped((hand.cap * (1.f + CAP_SOFT) + CAP_SOFT - height) * (1.f / CAP_SOFT));
         const vf faded = clamped(own * (1.f + SHARPER * hand.cap)), with_cap = 1.f - (1.f - faded) * (1.f - behind);
         const vf at_end = select(own < -0.5f, cap, select(bits_at(tile.capped[row], x), with_cap, faded));
         const vf whole = select(solid, all(1.f), at_end);

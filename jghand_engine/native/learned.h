@@ -67,8 +67,8 @@ struct LearnedTask {
   int32_t correctives;
   int32_t world_offsets;        // 0: offsets turn with the hand; 1: in world axes; -1: those of a left hand, mirrored
   int32_t basis, hidden, lobes;
-  int32_t from_behind;          // whether the eye sees the cap at the end of the hand: then all that faces it is drawn,
-                                // and nothing else, which would be black before the hand
+  float from_behind;            // 0..1, how much the eye sees of the cap at the end of the hand: the less that faces away
+                                // is drawn, which would be black before the hand
 };
 
 constexpr int CORRECTION = 6, LOOK = 7, MATT = 6, LOBE = 7, CAPSULE = 8;
@@ -117,8 +117,11 @@ JG_INLINE vf dot(const vf a[3], const vf b[3]) { return a[0] * b[0] + a[1] * b[1
 // Skin that faces away is seen through gaps only: in back light it would shine through them. `facing`: cosines to the eye
 JG_INLINE vf seen_from_outside(const LearnedTask& t, int64_t row, vf facing) {
   const vf fade = smooth((facing - AWAY_FROM) / AWAY_WIDTH);
-  const vf hidden = t.from_behind || !t.hidden_from ? vf{} : load(t.hidden_from + row);
-  const vf drawn = t.hidden_from ? select(facing > hidden, fade, all(-1.f)) : fade;
+  vf drawn = fade;
+  if (t.hidden_from) {
+    const vf hidden = load(t.hidden_from + row), is_cap = all(t.from_behind > 0 ? 0.f : 2.f);
+    drawn = select(facing > select(hidden > 1, is_cap, hidden * (1.f - t.from_behind)), fade, all(-1.f));
+  }
   if (t.front) store(t.front + row, drawn);
   return fade;
 }

@@ -49,5 +49,6 @@ class LearnedTask(ctypes.Structure):
         ("reach", _F32 * 2),
         ("eye", _F32 * 3),
         *((name, _F32) for name in ("rim", "volume_min", "exponent_max", "length2_min")),
-        *((name, _I32) for name in ("correctives", "world_offsets", "basis", "hidden", "lobes", "from_behind")),
+        *((name, _I32) for name in ("correctives", "world_offsets", "basis", "hidden", "lobes")),
+        ("from_behind", _F32),
     )

@@ -1,10 +1,10 @@
 """The last part of a fit: outlines, to a fraction of a pixel, by Gauss-Newton steps.
 
-Drawn Gaussians lead a fit near the outline, but Adam's few steps do not end on it. Here the surface at which pictures end
-is laid onto the masks itself: where it turns away from the camera, before nothing but background, it has to lie where
-the mask ends. How far it is from there, along the normal, is linear in small changes of poses, bones and shape. A pose
-has numbers of its own, which drop out of what all pictures say of the hand (Schur's complement): a finger that is a
-little aside in one picture does not make it thicker.
+Drawn Gaussians lead a fit near the outline, but Adam's few steps do not end on it. Here the surface at which pictures
+end is laid onto the masks itself: where it turns away from the camera, before nothing but background, it has to lie
+where the mask ends. How far it is from there, along the normal, is linear in small changes of poses, bones and shape. A
+pose has numbers of its own, which drop out of what all pictures say of the hand (Schur's complement): a finger that is
+a little aside in one picture does not make it thicker.
 
 Everything is before the camera: x right, y down, z forward, meters.
 """

@@ -16,6 +16,7 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import padded_rows
 from jghand_engine.avatar.cast_task import Capsules
+from jghand_engine.avatar.end_cap import SEEN_BARE
 from jghand_engine.avatar.posing import Poser, new_rows
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.avatar.scene_light_step import NO_DEPTHS, Apart
@@ -135,6 +136,12 @@ class Backend:
         rows = sum(padded_rows(len(avatar)) for avatar in avatars)
         self._gaussians = new_rows(rows, ellipsoids=any(map(_has_ellipsoids, avatars)), fades=any(map(_fades, avatars)))
         self._hands: list[Poser] = []
+        self._ends_hands = all(avatar.detail is not None and avatar.detail.ends_hand for avatar in avatars)
+        if not self._ends_hands:
+            avatars = [
+                avatar if avatar.cap is None else replace(avatar, cap=replace(avatar.cap, seen_at=SEEN_BARE))
+                for avatar in avatars
+            ]
         self._pixels_m = [avatar.pixel_m for avatar in avatars]
         limits, sweeps, first = limits_of(settings.effects), settings.swept_light, 0
         for avatar in avatars:
@@ -146,7 +153,6 @@ class Backend:
         # numbers of the hands that have one
         self._detailed = [place for place, avatar in enumerate(avatars) if avatar.detail is not None]
         self._detail: NativeDetail | None = None
-        self._ends_hands = all(avatar.detail is not None and avatar.detail.ends_hand for avatar in avatars)
         if self._detailed:
             self._detail = NativeDetail(
                 library,

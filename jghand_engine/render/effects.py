@@ -275,7 +275,7 @@ def plan_detail(scene: Scene, views: Sequence[View], settings: RenderSettings) -
     if not any(strengths):
         return (), Decision(Effect.DETAIL, False, "a pixel covers {0:.0f} texels", "{1:.2g} %", worst, cost, figures)
     why = "a pixel covers {0:.2g} texels" if figures[0] >= 1 else "a texel is larger than a pixel"
-    return strengths, Decision(Effect.DETAIL, True, why, "{1:.2g} %", min(worst, 1.0), cost, figures)
+    return strengths, Decision(Effect.DETAIL, True, why, "{1:.3g} %", min(worst, 1.0), cost, figures)
 
 
 def _crop(scene: Scene, settings: RenderSettings, box: Box, shaded: bool) -> Decision:

@@ -9,11 +9,12 @@ from scipy import ndimage
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
-from jghand_engine.avatar.end_cap import RINGS, SECTORS, SEEN_FROM, SEEN_WHOLLY
+from jghand_engine.avatar.end_cap import SEEN_FROM, SEEN_WHOLLY
 from jghand_engine.avatar.forearm import capped, ended
-from jghand_engine.avatar.scene_light import SceneLight, World
+from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
+from jghand_engine.native.scene_light_task import LampKind
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import DetailedHand
 from jghand_engine.render.renderer import HandRenderer
@@ -56,7 +57,7 @@ def cap_px(closed: HandAvatar, seen: Camera) -> np.ndarray:
     posed_m = DetailedHand.of(closed, 1.0).posed_m(closed.skeleton().bones(pose(closed)))
     assert closed.detail is not None
     cap = np.flatnonzero(closed.detail.shown < 0)
-    return seen.project(posed_m[np.append(cap[: RINGS // 2 * SECTORS], cap[-1])])[0].astype(int)
+    return seen.project(posed_m[cap[closed.detail.shown[cap] < -1.7]])[0].astype(int)
 
 
 def missing(rgba: np.ndarray, pixels: np.ndarray) -> float:
@@ -89,7 +90,7 @@ def test_few_gaussians_have_a_cap_and_so_has_a_hand_in_its_own_light():
     bare, closed = hands("builtin", True, Handedness.RIGHT)
     seen = camera(closed, 0)
     pixels = cap_px(closed, seen)
-    for gaussians in (4000, 0):
+    for gaussians in (1500, 4000, 0):
         assert missing(drawn(bare, seen, gaussians=gaussians), pixels) > 0.3
         assert missing(drawn(closed, seen, gaussians=gaussians), pixels) == 0
 
@@ -106,24 +107,61 @@ def test_from_the_side_no_pixel_is_another_one(forearm, orthographic):
         assert change.max() < 0.1
 
 
-@pytest.mark.parametrize("orthographic", [True, False])
-def test_a_cap_comes_into_sight_as_the_eye_gets_behind_it(orthographic):
+def test_a_cap_comes_into_sight_from_its_edge_as_the_eye_gets_behind_it():
     _, closed = hands("builtin", True, Handedness.RIGHT)
     assert closed.cap is not None
     assert closed.detail is not None
-    bones = closed.skeleton().bones(pose(closed))
-    shown = []
+    height = -1 - closed.detail.shown[closed.detail.shown < 0]
+    bones, shown = closed.skeleton().bones(pose(closed)), []
     for part in (0, 0.25, 0.5, 0.75, 1):
-        cosine = (1 - part) * SEEN_FROM + part * SEEN_WHOLLY
         # of parallel rays the angle is the same at all places
-        seen = camera(closed, np.degrees(np.arccos(cosine)), orthographic=True)
+        aside_deg = np.degrees(np.arccos((1 - part) * SEEN_FROM + part * SEEN_WHOLLY))
+        seen = camera(closed, aside_deg, orthographic=True)
         shown.append(closed.cap.seen(bones.linear_offset, bones.root_m, seen.eye_m))
-        if orthographic:
-            # from its edge on: its middle comes last
-            column, row = cap_px(closed, seen)[-1]
-            assert drawn(closed, seen, EVEN)[row, column, 3] == pytest.approx(max(2 * shown[-1] - 1, 0), abs=0.03)
+        # native/detail.cpp
+        wanted = np.clip((1.2 * shown[-1] + 0.2 - height[height > 0.7]) / 0.2, 0, 1)
+        column, row = cap_px(closed, seen).T
+        assert np.median(np.abs(drawn(closed, seen, EVEN)[row, column, 3] - wanted)) < 0.05
     # smoothly between
     assert shown == pytest.approx([0, 5 / 32, 0.5, 27 / 32, 1], abs=0.02)
+
+
+@pytest.mark.parametrize("forearm", [True, False])
+def test_nothing_leaps_where_a_cap_begins_to_be_seen(forearm):
+    bare, closed = hands("builtin", forearm, Handedness.RIGHT)
+    begins_deg = np.degrees(np.arccos(SEEN_FROM))
+    before, after = (camera(closed, begins_deg + by, orthographic=True) for by in (0.05, -0.05))
+    change, of_bare = (
+        np.abs(drawn(avatar, after, EVEN)[..., 3] - drawn(avatar, before, EVEN)[..., 3]) for avatar in (closed, bare)
+    )
+    assert (change > of_bare + 0.2).sum() < 5
+
+
+@pytest.mark.parametrize("towards", [(1, 0, 0.2), (0.2, 0.3, 1), (-1, 0, 0.1), (0, -1, 0.3)])
+def test_no_edge_of_skin_that_fades_throws_a_shadow_onto_it(towards):
+    _, closed = hands("builtin", True, Handedness.RIGHT)
+    sun, seen = SceneLight(lamps=(Lamp(LampKind.SUN, (3.0, 3.0, 3.0), towards),)), camera(closed, 20)
+    column, row = cap_px(closed, seen).T
+    settings = replace(preset("final"), threads=2)
+    sharp, soft = (
+        HandRenderer(closed, replace(settings, sharp_shadows=is_sharp), sun)
+        .render(pose(closed), seen)
+        .rgba[row, column]
+        for is_sharp in (True, False)
+    )
+    lit = soft[:, 1] > 0.3 * soft[:, 1].max()
+    assert (sharp[lit, 1] < 0.5 * soft[lit, 1]).mean() < 0.02
+
+
+def test_a_cap_takes_nothing_from_the_rest():
+    bare, closed = hands("builtin", True, Handedness.RIGHT)
+    assert closed.detail is not None
+    assert bare.detail is not None
+    assert closed.detail.density_per_m == pytest.approx(bare.detail.density_per_m, rel=1e-6)
+    seen = camera(closed, 90)
+    for gaussians in (1500, 4000):
+        change = np.abs(drawn(closed, seen, EVEN, gaussians) - drawn(bare, seen, EVEN, gaussians))
+        assert np.quantile(change, 0.997) < 5e-3
 
 
 def test_hands_that_no_surface_ends_have_none():
