@@ -75,9 +75,13 @@ class Dome:
         self._outlines = [self._outline(skin_m[self.edge(skin_m, beyond_m)]) for beyond_m in (0.0, WITHIN_M / 2)]
         self._mean_m = float(self._outlines[0][1].mean())
 
+    def apart_m(self, position_m: np.ndarray, beyond_m: float = 0.0) -> np.ndarray:
+        """(N,) how far places (N, 3), meters, are from its plane, or one so far out of the hand."""
+        return np.abs(position_m @ self.way - self._along_m - beyond_m)
+
     def edge(self, position_m: np.ndarray, beyond_m: float = 0.0) -> np.ndarray:
-        """Numbers of the places (N, 3), meters, that are near its plane, or one so far out of the hand."""
-        return np.flatnonzero(np.abs(position_m @ self.way - self._along_m - beyond_m) < EDGE_M)
+        """Numbers of those that are near it."""
+        return np.flatnonzero(self.apart_m(position_m, beyond_m) < EDGE_M)
 
     def _outline(self, skin_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Angles and radii (V,), meters, of places (V, 3)."""

@@ -68,9 +68,10 @@ def capped(avatar: HandAvatar) -> HandAvatar:
     skin_m, normal, sigma_m = dome.gaussians()
     position_m = (skin_m - detail.depth_m * normal).astype(np.float32)
     # in all else they are as their neighbors in the skin
-    edge = dome.edge(avatar.position_m)
+    edge = dome.apart_m(avatar.position_m).argsort()[:GAUSSIANS]
     near = edge[np.square(position_m[:, None] - avatar.position_m[edge]).sum(-1).argmin(1)]
-    first = 0 if learned.cast is None else len(learned.cast.anchors)
+    # a short prefix has fewer than anchors
+    first = 0 if learned.cast is None else min(len(learned.cast.anchors), len(avatar))
     rows, own = slice(first, first + GAUSSIANS), np.arange(len(avatar))
     more = avatar.rows(np.concatenate([own[:first], near, own[first:]]))
     assert more.learned is not None, "rows of an avatar have what it has"

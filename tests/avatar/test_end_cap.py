@@ -164,6 +164,12 @@ def test_a_cap_takes_nothing_from_the_rest():
         assert np.quantile(change, 0.997) < 5e-3
 
 
+def test_a_hand_of_fewer_gaussians_than_anchors_has_one():
+    few = capped(ended(load_avatar_called("builtin").prefix(300)))
+    seen = camera(few, 0)
+    assert missing(drawn(few, seen, EVEN), cap_px(few, seen)) == 0
+
+
 def test_hands_that_no_surface_ends_have_none():
     for avatar in (load_avatar_called("painted"), load_avatar_called("builtin")):
         assert capped(avatar) is avatar
