@@ -107,7 +107,7 @@ class HandImages:
         self._lights: OrderedDict[str, SceneLight] = OrderedDict()
         # the last light of which more is known at points of hands
         self._last_on_hands: _OnHands | None = None
-        self._points: dict[tuple[_Version, bytes, _Search], tuple[np.ndarray, ...]] = {}
+        self._points: dict[tuple[_Version, bool, bytes, _Search], tuple[np.ndarray, ...]] = {}
 
     def load(self, avatar: str) -> LoadedAvatar:
         """Reads the file anew; renderers of what it held before are dropped."""
@@ -201,12 +201,13 @@ class HandImages:
 
     def _near(self, hand: RequestedHand, points_m: np.ndarray, search: _Search) -> tuple[np.ndarray, ...]:
         """Which of the points (P, 3) on the template are near an avatar's anchors or Gaussians, at rest."""
-        key = _Version.now(hand.avatar), hashlib.blake2b(points_m.tobytes()).digest(), search
+        key = _Version.now(hand.avatar), hand.forearm, hashlib.blake2b(points_m.tobytes()).digest(), search
         if key not in self._points:
             if len(self._points) >= SEARCHES_MAX:
                 self._points.clear()
             with self._telling("Loading the avatar"):
-                avatar = self._avatar(key[0], hand.handedness)
+                # the Gaussians that are drawn
+                avatar = capped(ended(self._avatar(key[0], hand.handedness), forearm=hand.forearm))
                 # where they are on the avatar's own hand: each goes with the vertex that is nearest
                 template = load_template()
                 skeleton = Skeleton(template.joints_m, handedness=Handedness.RIGHT)
