@@ -54,9 +54,13 @@ class EndCap:
         """0..1, how much of it an eye at (3,) sees. linear_offset: (maps, 3, 4) of a pose · shift_m: (3,) its wrist"""
         moves = np.tensordot(self.weights, linear_offset, 1)
         middle_m, way = moves @ (*self.rest_m, 1.0) + shift_m, moves[:, :3] @ self.way
-        cosine = float(unit(way) @ unit(eye_m - middle_m))
-        part = min(max((cosine - self.seen_at[0]) / (self.seen_at[1] - self.seen_at[0]), 0.0), 1.0)
-        return part * part * (3 - 2 * part)
+        return float(rising(unit(way) @ unit(eye_m - middle_m), *self.seen_at))
+
+
+def rising(along: np.ndarray, none: float, whole: float) -> np.ndarray:
+    """0 at `none` and before it, 1 at `whole`, smoothly between."""
+    part = ((along - none) / (whole - none)).clip(0, 1)
+    return part * part * (3 - 2 * part)
 
 
 class Dome:

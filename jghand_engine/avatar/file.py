@@ -320,10 +320,8 @@ def _arrays(avatar: HandAvatar) -> Arrays:
 
 
 def _avatar(info: AvatarInfo, handedness: Handedness, joints_m: np.ndarray, arrays: Arrays) -> HandAvatar:
-    values = {name: np.ascontiguousarray(arrays[name]) for name in ARRAY_NAMES}
-    return HandAvatar(
-        info, handedness, np.asarray(joints_m, np.float64), learned=None, detail=None, fist=NO_FIST, cap=None, **values
-    )
+    values: dict[str, Any] = {name: np.ascontiguousarray(arrays[name]) for name in ARRAY_NAMES}
+    return HandAvatar(info, handedness, np.asarray(joints_m, np.float64), **values)
 
 
 def _with_learned(avatar: HandAvatar, packed: dict[str, np.ndarray], about: LearnedAbout) -> HandAvatar:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
-from jghand_engine.avatar.end_cap import GAUSSIANS, Dome, EndCap, with_cap
+from jghand_engine.avatar.end_cap import GAUSSIANS, Dome, EndCap, rising, with_cap
 
 # identifiers of the built-in hand's templates begin so
 BUILTIN_TEMPLATE = "makehuman-soma-right-1"
@@ -47,11 +47,11 @@ def ended(avatar: HandAvatar, *, forearm: bool = True) -> HandAvatar:
     way, end_m, fade_m = end
     detail = avatar.detail
     beyond_m = BEYOND_M if detail is not None and detail.ends_hand else 0.0
-    parts = _rising(avatar.position_m @ way - end_m + beyond_m, *fade_m)
+    parts = rising(avatar.position_m @ way - end_m + beyond_m, *fade_m)
     opacity = avatar.opacity * (1 - (1 - parts) ** (1 / LAYERS)).astype(np.float32)
     if detail is not None:
         # what is not there hides nothing behind it
-        whole = _rising(detail.position_m @ way - end_m, *fade_m).astype(np.float32)
+        whole = rising(detail.position_m @ way - end_m, *fade_m).astype(np.float32)
         stays = (whole > 0)[detail.faces].any(1)
         detail = replace(detail, faces=detail.faces[stays], face_uv=detail.face_uv[stays], whole=whole)
     return replace(avatar, opacity=opacity, detail=detail)
@@ -109,9 +109,3 @@ def _end_of(avatar: HandAvatar, *, forearm: bool) -> tuple[np.ndarray, float, tu
         # its hand ends square to the bones, and somewhere else in each file
         return np.array([0.0, 1.0, 0.0]), avatar.position_m[:, 1].min(), WRIST_FADE_M
     return None
-
-
-def _rising(along: np.ndarray, none: float, whole: float) -> np.ndarray:
-    """(N,) 0 at `none` and before it, 1 at `whole`, smoothly between."""
-    part = ((along - none) / (whole - none)).clip(0, 1)
-    return part * part * (3 - 2 * part)

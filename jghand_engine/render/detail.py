@@ -61,7 +61,8 @@ _LOG2_PER_CHANNEL = LOG_RATIO_MAX / RATIO_STEPS / STEPS_PER_BYTE / np.log(2.0) *
 class DetailedHand:
     """detail: of an avatar · power: of its ratios, see `detail_power` · joints_m: (21, 3) canonical, meters · weights:
     (V, maps) of all maps that move its surface · light: around its vertices, where it has a relief that light falls
-    on · rest: (21, NUMBERS) `angle_numbers` of the canonical hand, where it has correctives"""
+    on · rest: (21, NUMBERS) `angle_numbers` of the canonical hand, where it has correctives · cap: what closes its end,
+    if something does"""
 
     detail: Detail
     power: float
