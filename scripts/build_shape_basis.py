@@ -27,7 +27,6 @@ from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.template.builtin import load_template, load_template_with_forearm
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.reshape import pulled_back
-from jghand_engine.template.surface import vertex_normals
 
 OUT = Path(__file__).parents[1] / "jghand_engine" / "assets" / "hand_shapes.npz"
 # the identity that the built-in hand was learned from: its shape is the built-in hand's own
@@ -37,8 +36,9 @@ COMPONENTS = 2
 GROWTH = 0.1
 # a palm grows in its breadth and its height less than in its thickness (out of the palm is z)
 PALM_GROWTH = np.array([0.3, 0.3, 1.0])
-# how many functions, how high their mean spread is together, meters, and from which one on they become smaller
-BUMPS, BUMP_M, BUMP_SMOOTH = 48, 0.0008, 12
+# how many functions, how high the mean spread of the first is together, meters, and from which one on they become
+# smaller
+BUMPS, BUMPS_OF_SPREAD, BUMP_M, BUMP_SMOOTH = 200, 48, 0.0008, 12
 # from the wrist to this far from it they begin, meters
 WRIST_FADE_M = 0.015
 
@@ -50,11 +50,11 @@ def main() -> None:
     components, shares = principal(differences())
     print("of what identities differ in:", *(f"{100 * share:.1f} %" for share in shares))
     hand, arm = load_template(), load_template_with_forearm()
-    grown, bumpy = joined(growths(hand), growths(arm)), bumps(arm)
-    middle_of_cap = np.zeros((BUMPS, 1, 3))
-    bumpy = joined(np.concatenate([bumpy[:, : len(hand.vertices_m) - 1], middle_of_cap], 1), bumpy)
+    shapes = np.concatenate([components, joined(growths(hand), growths(arm))])
+    # the middle of the wrist's cap, which the forearm has not, stays
+    height_m = np.insert(bumps(arm), len(hand.vertices_m) - 1, 0, 1)
     with writing(out) as path, open(path, "wb") as stream:
-        np.savez_compressed(stream, shapes=np.concatenate([components, grown, bumpy]).astype("f2"))
+        np.savez_compressed(stream, shapes=shapes.astype("f2"), bumps=height_m.astype("f2"))
     print(f"wrote {out}")
 
 
@@ -102,7 +102,7 @@ def growths(template: HandTemplate) -> np.ndarray:
 
 
 def bumps(template: HandTemplate) -> np.ndarray:
-    """(BUMPS, V, 3) meters, along the normals; the hand alone is moved, and less towards the wrist."""
+    """(BUMPS, V) meters along the normals; the hand alone is moved, and less towards the wrist."""
     vertices, faces = template.vertices_m, template.faces
     count, edges = len(vertices), np.concatenate([faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
     corner = vertices[faces]
@@ -120,8 +120,8 @@ def bumps(template: HandTemplate) -> np.ndarray:
     function = function * np.sign(function[np.abs(function).argmax(0), np.arange(BUMPS)])
     size = 1 / np.sqrt(1 + value / value[BUMP_SMOOTH])
     away = np.clip(vertices[:, 1] / WRIST_FADE_M, 0, 1)[:, None] * function * size
-    away *= BUMP_M / np.sqrt((mass[:, None] * away**2).sum() / (mass * (vertices[:, 1] > 0)).sum())
-    return away.T[..., None] * vertex_normals(vertices, faces)
+    spread = (mass[:, None] * away[:, :BUMPS_OF_SPREAD] ** 2).sum() / (mass * (vertices[:, 1] > 0)).sum()
+    return away.T * (BUMP_M / np.sqrt(spread))
 
 
 def joined(of_hand: np.ndarray, with_forearm: np.ndarray) -> np.ndarray:

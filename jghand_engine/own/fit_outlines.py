@@ -38,7 +38,7 @@ CLEAR_PX = 2.0
 # third count less and less
 NOISE_M, INDEPENDENT, ROBUST_M = 0.0003, 0.2, 0.001
 # how far outlines are likely to take each shape, in its units
-SHAPE_SPREAD = 0.1
+SHAPE_SPREAD = 0.2
 # steps of a fit
 STEPS = 4
 # joints are moved by this to see where the skin goes, meters

@@ -39,7 +39,7 @@ from jghand_engine.own.fit_terms import (
     smooth_term,
 )
 from jghand_engine.own.fit_views import Sight, sights
-from jghand_engine.own.shape import SHAPE_COUNT, in_shape
+from jghand_engine.own.shape import COARSE_COUNT, SHAPE_COUNT, in_shape
 from jghand_engine.own.start import PACKED, Start, packed, unpacked
 from jghand_engine.render.camera import Camera
 from jghand_engine.track.poses import JointChain, Poses
@@ -129,7 +129,8 @@ class FittedHand:
 @dataclass(eq=False)
 class Unknowns:
     """angle_rad: (F, 20) · turn_rad: (F, 3) upon the tracker's · place_m: (F, 3) · log_length: (20,), against the
-    prior's · palm_shift_m: (5, 3) · shape: (SHAPE_COUNT,)"""
+    prior's · palm_shift_m: (5, 3) · shape: (COARSE_COUNT,) · bumps: the rest of SHAPE_COUNT, found by outlines alone:
+    Adam's steps are as long for all, and would roughen the skin"""
 
     angle_rad: Tensor
     turn_rad: Tensor
@@ -137,6 +138,7 @@ class Unknowns:
     log_length: Tensor
     palm_shift_m: Tensor
     shape: Tensor
+    bumps: Tensor
 
 
 @dataclass(frozen=True)
@@ -177,12 +179,14 @@ class HandFit:
         begin |= {
             "turn_rad": np.zeros((len(self), 3)),
             "palm_shift_m": np.zeros((5, 3)),
-            "shape": np.zeros(SHAPE_COUNT),
+            "shape": np.zeros(COARSE_COUNT),
+            "bumps": np.zeros(SHAPE_COUNT - COARSE_COUNT),
         }
         if hand is not None:
             first = JointChain.of(prior.canonical_joints_m)
             known = chain_of(prior.canonical_joints_m, hand.own_joints_m)
-            begin |= {"palm_shift_m": (known.palm_m - first.palm_m)[1:], "shape": hand.shape}
+            begin |= {"palm_shift_m": (known.palm_m - first.palm_m)[1:]}
+            begin["shape"], begin["bumps"] = np.split(hand.shape, [COARSE_COUNT])
             begin["log_length"] = np.r_[np.zeros(5), np.log(known.bone_lengths_m / first.bone_lengths_m)[5:]]
         sought = RATES if hand is None else POSE_NUMBERS
         tensors = {
@@ -213,6 +217,11 @@ class HandFit:
         camera = self.start.camera
         lens, middle = (joints_m.new_tensor(pair) for pair in ((camera.fx, camera.fy), (camera.cx, camera.cy)))
         return joints_m[..., :2] / joints_m[..., 2:] * lens + middle
+
+    @property
+    def shape(self) -> Tensor:
+        """(SHAPE_COUNT,) see shape.in_shape."""
+        return torch.cat([self.unknowns.shape, self.unknowns.bumps])
 
     @property
     def everything(self) -> Tensor:
@@ -264,7 +273,7 @@ class HandFit:
         factor, rows = self.factor, np.arange(len(self)) if colored is None else colored
         while self.done < effort.times or self.spent_s < effort.least_s:
             tick(self.done, max(effort.times, self.done + 1))
-            standing = self.joints(torch.from_numpy(rows)).detach(), self.unknowns.shape.detach()
+            standing = self.joints(torch.from_numpy(rows)).detach(), self.shape.detach()
             colors = self._shown(rgb_u8, masks, factor, rows).colors(*standing)
             self._descend(effort.rounds, PICTURE_RATE, partial(self._picture_cost, rgb_u8, masks, factor, colors))
             self.done, self.spent_s = self.done + 1, time.monotonic() - started
@@ -274,7 +283,7 @@ class HandFit:
             self.fit_outlines(masks)
         shown = self._shown(rgb_u8, masks, factor)
         with torch.no_grad():
-            left = shown.errors(self.everything, self.joints(self.everything), self.unknowns.shape)
+            left = shown.errors(self.everything, self.joints(self.everything), self.shape)
         self.outline_residual = left[:, 0].numpy()
 
     @torch.no_grad()
@@ -284,7 +293,7 @@ class HandFit:
         sought = [name for name in OUTLINE_SPREADS if now[name].requires_grad]
         of_poses, of_hand = ([name for name in sought if (name in POSE_NUMBERS) == own] for own in (True, False))
         start = {name: now[name].clone() for name in sought}
-        surface = OutlineSurface(self.prior, now["shape"].double().numpy(), is_known=not now["shape"].requires_grad)
+        surface = OutlineSurface(self.prior, self.shape.double().numpy(), is_known=not now["shape"].requires_grad)
         for _ in range(STEPS):
             both = self._sought(of_poses, start), self._sought(of_hand, start)
             joints_m = self.joints(self.everything).double().numpy()
@@ -296,7 +305,8 @@ class HandFit:
                     now[name] += torch.from_numpy(part).reshape(now[name].shape)
             if len(of_shape):
                 surface.in_shape(surface.shape + of_shape)
-        now["shape"].copy_(torch.from_numpy(surface.shape))
+        for name, part in zip(("shape", "bumps"), np.split(surface.shape, [COARSE_COUNT]), strict=True):
+            now[name].copy_(torch.from_numpy(part))
 
     def _sought(self, names: Sequence[str], start: dict[str, Tensor]) -> Sought:
         """Numbers that outlines may change: all of the pictures', or all of the hand's."""
@@ -320,7 +330,7 @@ class HandFit:
         shown = self._shown(rgb_u8, masks, factor)
 
         def cost(pictures: Tensor, joints_m: Tensor) -> Tensor:
-            outline, color = shown.errors(pictures, joints_m, self.unknowns.shape, colors).mean(0)
+            outline, color = shown.errors(pictures, joints_m, self.shape, colors).mean(0)
             known = self.detector_cost(pictures, joints_m, DETECTOR_WEIGHTS_WITH_PICTURES)
             return known + OUTLINE_WEIGHT * outline + COLOR_WEIGHT * color
 
@@ -392,7 +402,7 @@ class HandFit:
         directions[:, :5] = bone_directions(straight)[:, :5]
         own = rebuilt(np.zeros((1, 3)), directions, bone_lengths(straight[0]))[0]
         joints = self.joints(everything).double().numpy()
-        shape = now.shape.double().numpy()
+        shape = self.shape.double().numpy()
         return FittedHand(self.start.camera, poses, joints, own, shape, self.outline_residual)
 
 

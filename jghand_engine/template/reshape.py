@@ -40,7 +40,7 @@ def reshaped(avatar: HandAvatar, faces: np.ndarray, before_m: np.ndarray, after_
     before_m, after_m: (V, 3) meters; a surface that does not change changes no bit
     Gaussians that are ellipsoids keep the turn of their axes. The fist that its skin wanted is forgotten.
     """
-    change = _Change.of(faces, before_m, after_m)
+    change = _Change.of(Surface(before_m, faces), faces, before_m, after_m)
     position_m, stretch = change.places(avatar.position_m)
     # by how much lengths grow, on average over directions
     growth = np.cbrt(np.abs(np.linalg.det(np.eye(3) + stretch)))
@@ -57,8 +57,9 @@ def reshaped(avatar: HandAvatar, faces: np.ndarray, before_m: np.ndarray, after_
 
 def places_after(points_m: np.ndarray, faces: np.ndarray, before_m: np.ndarray, after_m: np.ndarray) -> np.ndarray:
     """(K, N, 3) float32 where `reshaped` carries points (N, 3) by each of K changes. after_m: (K, V, 3)"""
-    changes = [_Change.of(faces, before_m, one) for one in after_m]
-    near = changes[0].surface.closest(points_m.astype(np.float64))
+    surface = Surface(before_m, faces)
+    near = surface.closest(points_m.astype(np.float64))
+    changes = (_Change.of(surface, faces, before_m, one) for one in after_m)
     return np.stack([change.places_at(points_m, near)[0] for change in changes])
 
 
@@ -72,10 +73,10 @@ class _Change:
     stretch: np.ndarray
 
     @classmethod
-    def of(cls, faces: np.ndarray, before_m: np.ndarray, after_m: np.ndarray) -> _Change:
+    def of(cls, surface: Surface, faces: np.ndarray, before_m: np.ndarray, after_m: np.ndarray) -> _Change:
         offset_m = np.asarray(after_m, np.float64) - before_m
         stretch = _stretch(faces, np.asarray(before_m, np.float64), offset_m)
-        return cls(Surface(before_m, faces), faces, offset_m, stretch)
+        return cls(surface, faces, offset_m, stretch)
 
     def places(self, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points (N, 3) -> (N, 3) float32 where they are now, and (N, 3, 3) how what is there is stretched, less the

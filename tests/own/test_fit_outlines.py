@@ -15,7 +15,7 @@ from jghand_engine.own import fit_outlines
 from jghand_engine.own.fit_outlines import _PLAIN, OutlineSurface, shape_of_outlines
 from jghand_engine.own.hand_fit import HandFit
 from jghand_engine.own.masks import wrist_side
-from jghand_engine.own.shape import SHAPE_COUNT, in_shape
+from jghand_engine.own.shape import COARSE_COUNT, SHAPE_COUNT, in_shape
 from jghand_engine.own.start import Start
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import HandRenderer
@@ -48,7 +48,11 @@ def joints_m():
 @pytest.fixture(scope="module")
 def masks(prior, camera, joints_m):
     """Of the hand whose palm is thick and whose index finger is thin."""
-    renderer = HandRenderer(in_shape(prior, THICK), preset("final"))
+    return masks_of(prior, THICK, camera, joints_m)
+
+
+def masks_of(prior, shape, camera, joints_m):
+    renderer = HandRenderer(in_shape(prior, shape), preset("final"))
     shown = np.stack([renderer.render(one, camera).rgba[..., 3] > 0.5 for one in joints_m])
     return shown & wrist_side(camera.project(joints_m)[0], WIDTH, HEIGHT)
 
@@ -106,6 +110,15 @@ def test_outlines_of_known_joints_give_the_thickness(prior, camera, joints_m, ma
     assert after < 0.5 * before, "seen: 0.4"
 
 
+@pytest.mark.usefixtures("quick")
+def test_outlines_find_bumps_that_are_finer_than_a_finger_is_wide(prior, camera, joints_m):
+    bumpy = np.zeros(SHAPE_COUNT)
+    bumpy[COARSE_COUNT + 20] = 2.0
+    found = shape_of_outlines(prior, np.zeros(SHAPE_COUNT), joints_m, camera, masks_of(prior, bumpy, camera, joints_m))
+    alike = found[COARSE_COUNT:] @ bumpy[COARSE_COUNT:] / np.linalg.norm(found) / np.linalg.norm(bumpy)
+    assert alike > 0.5, "seen: 0.64"
+
+
 def fit_of(prior, camera, joints_m, poses, **more):
     pixels, directions = camera.project(joints_m)[0], bone_directions(joints_m)
     start = Start(camera, Handedness.RIGHT, pixels, directions, poses, CANONICAL_M)
@@ -120,7 +133,7 @@ def test_a_finger_that_is_aside_in_one_picture_goes_back_and_is_no_thicker(prior
     angle[0, 5] += 0.03
     fit = fit_of(prior, camera, joints_m, Poses(turned, poses.place_m + np.array([0.002, -0.001, 0.0]), angle))
     with torch.no_grad():
-        fit.unknowns.shape += torch.from_numpy(THICK)
+        fit.unknowns.shape += torch.from_numpy(THICK[:COARSE_COUNT])
     before = fit.result()
     fit.fit_outlines(masks)
     after = fit.result()

@@ -20,7 +20,7 @@ from jghand_engine.own.fit_terms import guides
 from jghand_engine.own.fit_views import sights, view_of
 from jghand_engine.own.hand_fit import RATES, Effort, FitPictures, FittedHand, HandFit
 from jghand_engine.own.masks import wrist_side
-from jghand_engine.own.shape import SHAPE_COUNT
+from jghand_engine.own.shape import COARSE_COUNT
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import DetailedHand, SurfaceHits
 from jghand_engine.render.settings import RenderSettings
@@ -39,14 +39,14 @@ def disturbed(poses: Poses, seed: int = 0) -> Poses:
 def outline(fit: HandFit, shown: FitPictures) -> float:
     with torch.no_grad():
         joints = fit.joints(fit.everything)
-        return float(shown.errors(fit.everything, joints, fit.unknowns.shape)[:, 0].mean())
+        return float(shown.errors(fit.everything, joints, fit.shape)[:, 0].mean())
 
 
 def test_pictures_bring_joints_bones_and_outline_back():
     truth = film()
     best = HandFit(PRIOR, truth.start(), truth.time_s, count=700)
     with torch.no_grad():
-        best.unknowns.shape[:] = torch.from_numpy(truth.shape)
+        best.unknowns.shape[:] = torch.from_numpy(truth.shape[:COARSE_COUNT])
     fit = HandFit(PRIOR, truth.start(disturbed(truth.poses), 1.0, CANONICAL_M), truth.time_s, count=700)
     factor = fit._outline_factor(truth.rgb_u8, truth.masks)
     least, first = (outline(one, one._shown(truth.rgb_u8, truth.masks, factor)) for one in (best, fit))
@@ -59,6 +59,7 @@ def test_pictures_bring_joints_bones_and_outline_back():
     part = (found.outline_residual.mean() - least) / (first - least)
     length = bone_lengths(found.own_joints_m)[5:] / bone_lengths(truth.canonical_joints_m)[5:]
     assert part < 0.2, "seen: 0.01"
+    assert not fit.unknowns.bumps.any(), "they are for outlines, which a hand without a surface of its skin has not"
     assert before.wrist_mm > 4
     assert after.aligned_mm < 0.6 * before.aligned_mm
     # of fingers, whose bones the pictures show
@@ -72,13 +73,13 @@ def exact():
     fit = HandFit(PRIOR.prefix(250), truth.start(disturbed(truth.poses)), truth.time_s, count=0, dtype=torch.float64)
     with torch.no_grad():
         fit.unknowns.shape += 0.3 * torch.randn(
-            SHAPE_COUNT, generator=torch.Generator().manual_seed(1), dtype=torch.float64
+            COARSE_COUNT, generator=torch.Generator().manual_seed(1), dtype=torch.float64
         )
     joints = fit.joints(fit.everything).detach()
     camera = truth.camera.scaled(1 / 4)
     seen = sights(truth.rgb_u8[:, 2::4, 2::4], truth.masks[:, 2::4, 2::4], joints.numpy(), camera)
     shown = FitPictures(fit.surface, seen, fit.surface.keep(joints), 1.0)
-    return fit, shown, shown.colors(joints, fit.unknowns.shape.detach())
+    return fit, shown, shown.colors(joints, fit.shape.detach())
 
 
 @pytest.mark.parametrize("name", RATES)
@@ -91,7 +92,7 @@ def test_every_group_has_the_gradient_of_its_costs(exact, name, monkeypatch):
 
     def cost() -> torch.Tensor:
         joints = fit.joints(fit.everything)
-        errors = shown.errors(fit.everything, joints, fit.unknowns.shape, colors).mean(0)
+        errors = shown.errors(fit.everything, joints, fit.shape, colors).mean(0)
         return fit.detector_cost(fit.everything, joints, (0.05, 0.05)) + 4 * errors.sum()
 
     (gradient,) = torch.autograd.grad(cost(), group)
