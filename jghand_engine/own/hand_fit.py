@@ -129,8 +129,8 @@ class FittedHand:
 @dataclass(eq=False)
 class Unknowns:
     """angle_rad: (F, 20) · turn_rad: (F, 3) upon the tracker's · place_m: (F, 3) · log_length: (20,), against the
-    prior's · palm_shift_m: (5, 3) · shape: (COARSE_COUNT,) · bumps: the rest of SHAPE_COUNT, found by outlines alone:
-    Adam's steps are as long for all, and would roughen the skin"""
+    prior's · palm_shift_m: (5, 3) · shape: (COARSE_COUNT,) · fine_shape: the rest of SHAPE_COUNT, found by outlines
+    alone: Adam's steps are as long for all, and would roughen the skin"""
 
     angle_rad: Tensor
     turn_rad: Tensor
@@ -138,7 +138,7 @@ class Unknowns:
     log_length: Tensor
     palm_shift_m: Tensor
     shape: Tensor
-    bumps: Tensor
+    fine_shape: Tensor
 
 
 @dataclass(frozen=True)
@@ -180,13 +180,13 @@ class HandFit:
             "turn_rad": np.zeros((len(self), 3)),
             "palm_shift_m": np.zeros((5, 3)),
             "shape": np.zeros(COARSE_COUNT),
-            "bumps": np.zeros(SHAPE_COUNT - COARSE_COUNT),
+            "fine_shape": np.zeros(SHAPE_COUNT - COARSE_COUNT),
         }
         if hand is not None:
             first = JointChain.of(prior.canonical_joints_m)
             known = chain_of(prior.canonical_joints_m, hand.own_joints_m)
             begin |= {"palm_shift_m": (known.palm_m - first.palm_m)[1:]}
-            begin["shape"], begin["bumps"] = np.split(hand.shape, [COARSE_COUNT])
+            begin["shape"], begin["fine_shape"] = np.split(hand.shape, [COARSE_COUNT])
             begin["log_length"] = np.r_[np.zeros(5), np.log(known.bone_lengths_m / first.bone_lengths_m)[5:]]
         sought = RATES if hand is None else POSE_NUMBERS
         tensors = {
@@ -221,7 +221,7 @@ class HandFit:
     @property
     def shape(self) -> Tensor:
         """(SHAPE_COUNT,) see shape.in_shape."""
-        return torch.cat([self.unknowns.shape, self.unknowns.bumps])
+        return torch.cat([self.unknowns.shape, self.unknowns.fine_shape])
 
     @property
     def everything(self) -> Tensor:
@@ -305,7 +305,7 @@ class HandFit:
                     now[name] += torch.from_numpy(part).reshape(now[name].shape)
             if len(of_shape):
                 surface.in_shape(surface.shape + of_shape)
-        for name, part in zip(("shape", "bumps"), np.split(surface.shape, [COARSE_COUNT]), strict=True):
+        for name, part in zip(("shape", "fine_shape"), np.split(surface.shape, [COARSE_COUNT]), strict=True):
             now[name].copy_(torch.from_numpy(part))
 
     def _sought(self, names: Sequence[str], start: dict[str, Tensor]) -> Sought:

@@ -59,7 +59,9 @@ def test_pictures_bring_joints_bones_and_outline_back():
     part = (found.outline_residual.mean() - least) / (first - least)
     length = bone_lengths(found.own_joints_m)[5:] / bone_lengths(truth.canonical_joints_m)[5:]
     assert part < 0.2, "seen: 0.01"
-    assert not fit.unknowns.bumps.any(), "they are for outlines, which a hand without a surface of its skin has not"
+    assert not fit.unknowns.fine_shape.any(), (
+        "they are for outlines, which a hand without a surface of its skin has not"
+    )
     assert before.wrist_mm > 4
     assert after.aligned_mm < 0.6 * before.aligned_mm
     # of fingers, whose bones the pictures show
