@@ -61,6 +61,7 @@ BLENDER45_PATHS = tuple(
 NEWEST_ALONE = tuple(
     f"tests/blender/test_{name}.py"
     for name in [
+        "capture_hair",
         "capture_lit",
         "capture_render",
         "demo",

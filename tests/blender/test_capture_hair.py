@@ -61,7 +61,7 @@ def seen_px(points_m: np.ndarray, camera: dict) -> np.ndarray:
 
 def test_the_picture_is_darker_along_strands_and_the_same_beside_them(plan_folder, tmp_path):
     plan = json.loads((plan_folder / "plan.json").read_text(encoding="utf-8"))
-    plan["render"]["sampling"]["samples"] = 48
+    plan["render"]["sampling"]["samples"] = 12
     points_m, outwards = strands_m(plan_folder)
     middle = np.linalg.norm(points_m[:, 0] - np.median(points_m[:, 0], 0), axis=1).argmin()
     target, away = points_m[middle, 0], outwards[middle, 0].astype(float)
