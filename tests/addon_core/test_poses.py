@@ -33,12 +33,12 @@ def test_every_pose_turns_every_finger_bone_and_has_a_name_of_its_own(handedness
 def test_a_pose_is_what_the_engine_poses_on_that_hand(identity):
     canonical_m = load_identity(identity).joints_m
     rest_m = from_level(canonical_m, JointOrder.STANDARD)
-    for side in Handedness:
+    fist = kinematics.Fist((3.0, -2.0, 1.0), (0.005, 0.0, -0.005), 0.006)
+    for side, its_fist in ((Handedness.RIGHT, kinematics.NO_FIST), (Handedness.LEFT, fist)):
         own_m = rest_m * (-1, 1, 1) if side is Handedness.LEFT else rest_m
         for name in POSES_DEG:
-            for fist in (kinematics.NO_FIST, kinematics.Fist((3.0, -2.0, 1.0), (0.005, 0.0, -0.005), 0.006)):
-                wanted = from_level(named_pose(name, canonical_m, handedness=side, fist=fist), JointOrder.STANDARD)
-                np.testing.assert_array_equal(poses.joints_on(name, own_m, side, fist), wanted)
+            wanted = from_level(named_pose(name, canonical_m, handedness=side, fist=its_fist), JointOrder.STANDARD)
+            np.testing.assert_array_equal(poses.joints_on(name, own_m, side, its_fist), wanted)
     hand = kinematics.ArchingHand(canonical_m)
     wanted = from_level(hand.joints(letter_angles_on(hand, "A")[None])[0], JointOrder.STANDARD)
     np.testing.assert_array_equal(poses.joints_on("ASL A", rest_m, RIGHT), wanted)

@@ -71,21 +71,22 @@ def test_a_forearm_is_shown_up_to_its_last_centimeters_or_hidden():
     assert np.array_equal(hidden.opacity[:1609], alone.opacity[:1609])
 
 
-@pytest.mark.parametrize("around_deg", [8, 98, 190, 278])
-def test_the_end_of_the_built_in_forearm_has_neither_holes_nor_a_cut(around_deg):
-    arm, around = ended(load_builtin(handedness=Handedness.RIGHT)), np.radians(around_deg)
+def test_the_end_of_the_built_in_forearm_has_neither_holes_nor_a_cut():
+    arm = ended(load_builtin(handedness=Handedness.RIGHT))
+    renderer = HandRenderer(arm, preset("viewport"))
     joints_m = named_pose("open", arm.canonical_joints_m, handedness=Handedness.RIGHT)
     middle_m = joints_m[0] - 0.1 * (joints_m[9] - joints_m[0]) / np.linalg.norm(joints_m[9] - joints_m[0])
-    eye_m = middle_m + 0.5 * np.array([np.sin(around), 0, np.cos(around)])
-    camera = Camera.looking_at(eye_m, middle_m, (0, 1, 0), width=240, height=240, focal_px=1000)
-    alpha = HandRenderer(arm, preset("viewport")).render(joints_m, camera).rgba[..., 3]
-    inside = (alpha[:100] > 0.99).all(0)
-    assert inside.sum() > 60
-    down = np.diff(alpha[:, inside], axis=0)
-    assert alpha[-1].max() == 0
-    assert down.max() < 0.05  # observed 0.02
-    # observed 0.30 where the outline of the end rounds off
-    assert down.min() > -0.4
+    for around in np.radians([8, 98, 190, 278]):
+        eye_m = middle_m + 0.5 * np.array([np.sin(around), 0, np.cos(around)])
+        camera = Camera.looking_at(eye_m, middle_m, (0, 1, 0), width=240, height=240, focal_px=1000)
+        alpha = renderer.render(joints_m, camera).rgba[..., 3]
+        inside = (alpha[:100] > 0.99).all(0)
+        assert inside.sum() > 60
+        down = np.diff(alpha[:, inside], axis=0)
+        assert alpha[-1].max() == 0
+        assert down.max() < 0.05  # observed 0.02
+        # observed 0.30 where the outline of the end rounds off
+        assert down.min() > -0.4
 
 
 def test_a_hidden_forearm_has_no_detail_that_would_hide_what_is_behind_it():
