@@ -12,6 +12,7 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks, set_pointers
 from jghand_engine.avatar.learned import CAPSULE_LENGTH2_MIN, CastShadow, lamp_directions
+from jghand_engine.avatar.nearest import nearest_centers
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.binding import aligned_zeros
@@ -32,8 +33,6 @@ PATCH = 4
 NORMAL_M = 0.02
 # anchors whose mean is taken of the skin that they see, a centimeter of their own
 EVENED = 8
-# so many anchors at once are compared with all, so that memory does not grow with their square
-ROWS_AT_ONCE = 1024
 # display-referred colors go with light to this power
 LIGHT_TO_DISPLAY = 1 / 2.2
 
@@ -62,15 +61,9 @@ def anchor_blocks(position_m: np.ndarray, normal: np.ndarray) -> Blocks:
 def anchors_beside(position_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(A, EVENED) anchors whose mean is taken of the skin that they see, each itself among them: what is found of few
     patches differs more from anchor to anchor than light does. Of a hand of fewer, some count twice."""
-    at = _by_place_and_normal(position_m, normal).astype(np.float32)
-    count, length2, found = min(EVENED, len(at)), np.square(at).sum(1), []
-    for first in range(0, len(at), ROWS_AT_ONCE):
-        rows = np.arange(first, min(first + ROWS_AT_ONCE, len(at)))
-        apart2 = length2[rows, None] + length2 - 2 * at[rows] @ at.T
-        # itself, whatever rounding says
-        apart2[rows - first, rows] = -1
-        found.append(np.argpartition(apart2, count - 1, axis=1)[:, np.arange(EVENED) % count])
-    return np.concatenate(found).astype(np.int32)
+    at = _by_place_and_normal(position_m, normal)
+    near = nearest_centers(at, at, EVENED)
+    return near[:, np.arange(EVENED) % near.shape[1]].astype(np.int32)
 
 
 def _by_place_and_normal(position_m: np.ndarray, normal: np.ndarray) -> np.ndarray:

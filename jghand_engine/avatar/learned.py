@@ -14,6 +14,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from jghand_engine.avatar.correctives import Correctives, PerGaussian, PoseNetwork
+from jghand_engine.avatar.nearest import nearest_centers
 from jghand_engine.avatar.tiers import Distilled, Price, Tier, choose
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import PARENTS
@@ -139,12 +140,10 @@ class Anchors(PerGaussian, Generic[Array]):
 
 def anchors_around(anchors: Anchors, position_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(V, 3) those around canonical places (V, 3), and their shares, as of Gaussians."""
-    apart2_m2 = np.square(position_m).sum(1)[:, None] + np.square(anchors.position_m).sum(1)
-    apart2_m2 -= 2 * position_m @ anchors.position_m.T
-    count = min(ANCHOR_NEIGHBORS + 1, len(anchors))
-    nearest = np.argpartition(apart2_m2, count - 1, axis=1)[:, :count]
-    nearest = np.take_along_axis(nearest, np.take_along_axis(apart2_m2, nearest, 1).argsort(1), 1)
-    nearest, share = mixed_of(nearest, np.sqrt(np.maximum(np.take_along_axis(apart2_m2, nearest, 1), 0)))
+    nearest = nearest_centers(position_m, anchors.position_m, ANCHOR_NEIGHBORS + 1)
+    distance_m = np.linalg.norm(position_m[:, None] - anchors.position_m[nearest], axis=-1)
+    order = distance_m.argsort(1)
+    nearest, share = mixed_of(np.take_along_axis(nearest, order, 1), np.take_along_axis(distance_m, order, 1))
     return nearest, share.astype(np.float32)
 
 

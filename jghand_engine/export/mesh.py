@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.nearest import nearest_centers
 from jghand_engine.color import linear_to_srgb, to_bytes
 from jghand_engine.errors import InputError, package
 from jghand_engine.export.motion import HandMotion
 from jghand_engine.export.png import encode_png
-from jghand_engine.export.skin import COLOR_NEIGHBORS, SkinTexture, nearest_gaussians, normal_map
+from jghand_engine.export.skin import COLOR_NEIGHBORS, SkinTexture, normal_map
 from jghand_engine.export.splats.cloud import RUB_FROM_UP
 from jghand_engine.export.splats.files import FrameFiles
 from jghand_engine.files import make_folder, write_file
@@ -128,7 +129,7 @@ class _Surface:
             self._relief = None if detail is None else normal_map(detail)
         else:
             self.vertex, self.faces = np.arange(len(template.vertices_m)), template.faces
-            self._nearest = nearest_gaussians(template.vertices_m, rest_m, COLOR_NEIGHBORS)
+            self._nearest = nearest_centers(template.vertices_m, rest_m, COLOR_NEIGHBORS)
 
     def mesh(self, index: int, axes: np.ndarray) -> Any:
         """The skin in one frame, a trimesh.Trimesh. axes: (3, 3) a turn of everything."""

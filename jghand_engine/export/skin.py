@@ -10,6 +10,7 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.detail import Detail, log_ratios
 from jghand_engine.avatar.detail_mips import filled
+from jghand_engine.avatar.nearest import nearest_centers
 from jghand_engine.avatar.relighting import detail_power
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.texture import rasterize_uv, sample_bilinear
@@ -20,8 +21,6 @@ TEXTURE_PX = 512
 COLOR_NEIGHBORS = 4
 # texels along a side whose detail Gaussians get: 512 bring 0.1 dB more and take four times as long
 MEAN_PX = 256
-# meters around points within which Gaussians near them are looked for first, and points that are looked at together
-NEAR_M, BLOCK = 0.006, 128
 
 
 def with_detail_in_colors(avatar: HandAvatar) -> HandAvatar:
@@ -32,7 +31,7 @@ def with_detail_in_colors(avatar: HandAvatar) -> HandAvatar:
         return avatar
     size = min(MEAN_PX, detail.size)
     points_m, covered = rasterize_uv(detail.face_uv, detail.position_m[detail.faces], size)
-    near = nearest_gaussians(points_m[covered], avatar.position_m, COLOR_NEIGHBORS)
+    near = nearest_centers(points_m[covered], avatar.position_m, COLOR_NEIGHBORS)
     ratios, part = log_ratios(filled(detail.texture, detail.skin)), detail.size // size
     means = ratios.reshape(size, part, size, part, 3).mean(axis=(1, 3))[covered]
     texels = np.maximum(np.bincount(near.ravel(), minlength=len(avatar)), 1)
@@ -59,7 +58,7 @@ class SkinTexture:
 
     def __init__(self, avatar: HandAvatar, template: HandTemplate, rest_m: np.ndarray) -> None:
         points_m, self._covered = rasterize_uv(template.face_uv, template.vertices_m[template.faces], TEXTURE_PX)
-        self._nearest = nearest_gaussians(points_m[self._covered], rest_m, COLOR_NEIGHBORS)
+        self._nearest = nearest_centers(points_m[self._covered], rest_m, COLOR_NEIGHBORS)
         detail, self._ratio = avatar.detail, None
         if detail is not None:
             # beyond the islands the skin goes on, or filtering brings something else over their edges
@@ -78,27 +77,3 @@ class SkinTexture:
         smooth = sample_bilinear(texels, np.stack(np.meshgrid(middles, 1 - middles), -1))
         finer = size // len(self._ratio)
         return np.rint((smooth * self._ratio.repeat(finer, 0).repeat(finer, 1)).clip(0, 255)).astype(np.uint8)
-
-
-def nearest_gaussians(points_m: np.ndarray, rest_m: np.ndarray, count: int) -> np.ndarray:
-    """(P, count) numbers of those centers (N, 3) that are nearest to each of the points (P, 3), in no order; of fewer
-    centers all."""
-    count = min(count, len(rest_m))
-    found = np.empty((len(points_m), count), np.int64)
-    boxes = [(np.arange(len(points_m)), np.arange(len(rest_m)), NEAR_M)]
-    while boxes:
-        some, near, margin_m = boxes.pop()
-        low_m, high_m = points_m[some].min(axis=0) - margin_m, points_m[some].max(axis=0) + margin_m
-        inside = near[((rest_m[near] >= low_m) & (rest_m[near] <= high_m)).all(axis=1)]
-        if len(some) > BLOCK:
-            some = some[points_m[some, (high_m - low_m).argmax()].argsort()]
-            boxes += [(half, inside, margin_m) for half in np.array_split(some, 2)]
-            continue
-        squares_m2 = ((points_m[some, None] - rest_m[inside]) ** 2).sum(-1)
-        if len(inside) == len(rest_m) or (
-            len(inside) > count and np.partition(squares_m2, count - 1)[:, count - 1].max() <= margin_m**2
-        ):
-            found[some] = inside[np.argpartition(squares_m2, count - 1)[:, :count]]
-        else:
-            boxes.append((some, np.arange(len(rest_m)), 2 * margin_m))
-    return found

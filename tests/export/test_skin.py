@@ -1,4 +1,4 @@
-"""What of the skin's detail files hold: the nearest Gaussians of a place, textures, and colors of Gaussians."""
+"""What of the skin's detail files hold: textures, and colors of Gaussians."""
 
 from dataclasses import replace
 
@@ -10,23 +10,12 @@ from show_splat_file import BLACK, psnr_db
 from jghand_engine.avatar.builtin import load_avatar_called
 from jghand_engine.avatar.detail_mips import filled, skin_texels
 from jghand_engine.export.pictures import flatten
-from jghand_engine.export.skin import MEAN_PX, nearest_gaussians, with_detail_in_colors
+from jghand_engine.export.skin import MEAN_PX, with_detail_in_colors
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.render.framing import framing_camera
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import preset
-
-
-@pytest.mark.parametrize(("centers", "count"), [(3000, 4), (3, 4), (3000, 8)])
-def test_the_nearest_gaussians_are_those_of_all_that_are_nearest(centers, count):
-    """On a sheet as skin is, and far from it."""
-    g = np.random.default_rng(4)
-    rest_m = g.uniform(-0.05, 0.05, (centers, 3)) * [1, 1, 0.02]
-    points_m = np.concatenate([g.uniform(-0.06, 0.06, (700, 3)) * [1, 1, 0.02], g.normal(0, 1, (5, 3))])
-    found = nearest_gaussians(points_m, rest_m, count)
-    squares_m2 = ((points_m[:, None] - rest_m) ** 2).sum(-1)
-    np.testing.assert_array_equal(np.sort(found), np.sort(np.argsort(squares_m2)[:, :count]))
 
 
 def test_beside_the_skin_a_texture_goes_on():

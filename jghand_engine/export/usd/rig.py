@@ -31,9 +31,9 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
+from jghand_engine.avatar.nearest import nearest_centers
 from jghand_engine.avatar.relighting import Material
 from jghand_engine.export.motion import BonePoses
-from jghand_engine.export.skin import nearest_gaussians
 from jghand_engine.export.usd.splats import Cloud
 from jghand_engine.export.usd.stage import (
     PROXY_PATH,
@@ -351,7 +351,7 @@ def _add_reader(stage: Usd.Stage, path: str, kind: str, primvar: str, read_kind:
 def vertex_material(vertices_m: np.ndarray, rest_m: np.ndarray, material: Material) -> Material:
     """Of vertices (V, 3): means of the Gaussians, whose centers (N, 3) are in the same pose, that are nearest."""
     values = np.column_stack([material.albedo, material.roughness, material.reflectance]).astype(np.float64)
-    means = values[nearest_gaussians(vertices_m, rest_m, NEIGHBORS)].mean(axis=1)
+    means = values[nearest_centers(vertices_m, rest_m, NEIGHBORS)].mean(axis=1)
     return Material(means[:, :3], means[:, 3], means[:, 4])
 
 
