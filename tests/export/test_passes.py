@@ -1,14 +1,16 @@
 """Passes agree with each other, with the Gaussians, and with the mesh, which the renderer does not know."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache, cached_property
 
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
 from usd_samples import engine_gaussians, engine_mesh
 
-from jghand_engine.avatar.avatar import bone_numbers
+from jghand_engine.avatar.avatar import HandAvatar, bone_numbers
 from jghand_engine.avatar.builtin import load_avatar_called
 from jghand_engine.errors import InputError
 from jghand_engine.export.passes import JOINT_REACH_ROOM, JointView, JointWitness, channels, joint_reach_m, pass_names
@@ -30,18 +32,42 @@ POSES, VIEWS = ("open", "fist", "point", "pinch"), ("front", "back", "side", "qu
 AVATARS = {name: replace(load_avatar_called(name), detail=None) for name in ("painted", "builtin")}
 
 
+@cache
+def renderer_of(avatar: str, handedness: Handedness) -> tuple[HandAvatar, HandRenderer]:
+    hand = AVATARS[avatar].for_hand(handedness)
+    return hand, HandRenderer(hand, replace(preset("final"), depth=True, normals=True, threads=1))
+
+
+class Posed:
+    """A hand in a pose, whatever is seen of it."""
+
+    def __init__(self, avatar: str, pose: str, handedness: Handedness) -> None:
+        self.avatar, self.renderer = renderer_of(avatar, handedness)
+        self.joints_m = named_pose(pose, self.avatar.canonical_joints_m, handedness=handedness)
+        self.sequence = PoseSequence(self.joints_m[None], 30.0, handedness)
+
+    @cached_property
+    def mesh(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (V, 3), meters, and faces of the posed template."""
+        info = self.avatar.info
+        return engine_mesh(self.sequence, info.scale_mode, info.swing)[0], load_template().faces
+
+    @cached_property
+    def centers(self) -> KDTree:
+        """Of the Gaussians."""
+        return KDTree(engine_gaussians(self.avatar, self.sequence)[0][0])
+
+
 class Shown:
     """A posed hand before a camera, with its maps."""
 
-    def __init__(self, avatar: str, pose: str, view: str, handedness: Handedness = Handedness.RIGHT) -> None:
-        self.avatar = AVATARS[avatar].for_hand(handedness)
-        self.joints_m = named_pose(pose, AVATARS[avatar].canonical_joints_m, handedness=handedness)
-        self.sequence = PoseSequence(self.joints_m[None], 30.0, handedness)
+    def __init__(self, posed: Posed, view: str) -> None:
+        self.posed, self.avatar, self.joints_m = posed, posed.avatar, posed.joints_m
+        handedness = self.avatar.handedness
         self.camera: Camera = framing_camera(self.joints_m[None], handedness, view, width=SIZE[0], height=SIZE[1])
-        settings = replace(preset("final"), depth=True, normals=True, threads=1)
-        renderer = HandRenderer(self.avatar, settings)
-        self.frame: Frame = renderer.render(self.joints_m, self.camera)
-        self.maps = channels(self.frame, renderer.bone_ids(self.camera), ("depth", "normal", "ids", "alpha"))
+        self.frame: Frame = posed.renderer.render(self.joints_m, self.camera)
+        bones = posed.renderer.bone_ids(self.camera)
+        self.maps = channels(self.frame, bones, ("depth", "normal", "ids", "alpha"))
         self.joints: JointView = JointWitness(self.avatar).look(self.joints_m, self.camera, self.maps["Z"])
 
     def unprojected(self, kept: np.ndarray) -> np.ndarray:
@@ -63,15 +89,10 @@ class Shown:
                 kept &= np.abs(np.roll(depth, shift, axis) - depth) < 0.0015 * max(2, abs(shift))
         return kept
 
-    def mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (V, 3), meters, and faces of the posed template."""
-        info = self.avatar.info
-        return engine_mesh(self.sequence, info.scale_mode, info.swing)[0], load_template().faces
-
     def before_joints_m(self) -> np.ndarray:
         """(21,) how far before each joint the mesh begins on the way from the camera, meters, standard order; NaN where
         it does not."""
-        vertices, faces = self.mesh()
+        vertices, faces = self.posed.mesh
         eye, corners = self.camera.eye_m, vertices[faces]
         found = np.full(21, np.nan)
         for joint, place in enumerate(self.joints.joints_m):
@@ -94,13 +115,12 @@ def crossings(corners: np.ndarray, start: np.ndarray, way: np.ndarray) -> np.nda
 
 
 @pytest.fixture(scope="module")
-def shown():
-    made: dict[tuple, Shown] = {}
+def shown() -> Callable[..., Shown]:
+    posed = cache(Posed)
 
-    def get(*words, avatar: str = "painted") -> Shown:
-        if (avatar, *words) not in made:
-            made[avatar, *words] = Shown(avatar, *words)
-        return made[avatar, *words]
+    @cache
+    def get(pose: str, view: str, handedness: Handedness = Handedness.RIGHT, avatar: str = "painted") -> Shown:
+        return Shown(posed(avatar, pose, handedness), view)
 
     return get
 
@@ -115,8 +135,7 @@ def test_unprojected_depth_meets_the_gaussians(shown, pose, avatar, most_m, all_
         hand = shown(pose, *words, avatar=avatar)
         points = hand.unprojected(hand.inner())
         assert len(points) > 2000
-        centers, _ = engine_gaussians(hand.avatar, hand.sequence)
-        apart_m, _ = KDTree(centers[0]).query(points)
+        apart_m, _ = hand.posed.centers.query(points)
         wrist_m, middle_m = hand.joints.joints_m[[0, 9]]
         before_wrist = (points - wrist_m) @ (middle_m - wrist_m) > 0
         assert np.percentile(apart_m[before_wrist], 99) < most_m
@@ -129,7 +148,7 @@ def test_normals_are_those_of_the_mesh_and_look_at_the_camera(shown, avatar, mea
     hand = shown("open", "front", avatar=avatar)
     normals = np.stack([hand.maps[f"normal.{axis}"] for axis in "XYZ"], -1)[hand.inner()]
     assert np.abs(np.linalg.norm(normals, axis=1) - 1).max() < 1e-5
-    vertices, faces = hand.mesh()
+    vertices, faces = hand.posed.mesh
     corners = vertices[faces]
     true = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     true /= np.linalg.norm(true, axis=1, keepdims=True)
@@ -147,8 +166,7 @@ def test_normals_are_those_of_the_mesh_and_look_at_the_camera(shown, avatar, mea
 @pytest.mark.parametrize("pose", POSES)
 def test_a_pixel_has_the_bone_of_the_gaussians_that_it_unprojects_to(shown, pose, avatar, least):
     hand = shown(pose, "quarter", avatar=avatar)
-    centers, _ = engine_gaussians(hand.avatar, hand.sequence)
-    _, nearest = KDTree(centers[0]).query(hand.unprojected(hand.inner()))
+    _, nearest = hand.posed.centers.query(hand.unprojected(hand.inner()))
     bones = bone_numbers(hand.avatar)[nearest]
     assert (hand.maps["bone_id"][hand.inner()] == bones).mean() > least
     assert set(np.unique(hand.maps["bone_id"])) <= set(range(21))

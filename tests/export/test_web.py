@@ -17,11 +17,10 @@ import pytest
 import torch
 from detail_reference import posed_surface
 from scipy.spatial.transform import Rotation
-from small_avatars import ellipsoid_avatar, known_avatar, small_avatar, trained_avatar
+from small_avatars import coarse_builtin, ellipsoid_avatar, known_avatar, small_avatar, trained_avatar
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks
-from jghand_engine.avatar.builtin import load_avatar_called
 from jghand_engine.avatar.detail import Detail
 from jghand_engine.avatar.detail_mips import skin_texels
 from jghand_engine.avatar.posing import Poser
@@ -94,7 +93,7 @@ def test_what_every_page_has_in_common_stays_below_two_megabytes():
 
 
 def test_the_page_names_hand_license_and_pictures(tmp_path):
-    avatar = load_avatar_called("builtin")
+    avatar = coarse_builtin()
     exported(tmp_path, avatar, gaussians=500)
     found = description_of(tmp_path)
     assert (found["name"], found["license"]) == (avatar.info.name, avatar.info.license)
@@ -104,7 +103,7 @@ def test_the_page_names_hand_license_and_pictures(tmp_path):
 
 def test_the_page_says_what_it_leaves_out_where_that_would_be_seen(tmp_path):
     exported(tmp_path / "painted")
-    exported(tmp_path / "builtin", load_avatar_called("builtin"), gaussians=500)
+    exported(tmp_path / "builtin", coarse_builtin(), gaussians=500)
     assert "shadow" in description_of(tmp_path / "painted")["notes"][0]
     assert description_of(tmp_path / "builtin")["notes"] == []
 
@@ -267,7 +266,7 @@ AVATARS = {
     "network": trained_avatar,
     "linear": lambda: with_linear(trained_avatar()),
     "ellipsoids": ellipsoid_avatar,
-    "builtin": lambda: load_avatar_called("builtin").prefix(6000),
+    "builtin": lambda: coarse_builtin(6000),
 }
 
 
@@ -292,7 +291,7 @@ def in_rows_of_the_page(detail: Detail) -> np.ndarray:
 
 @pytest.mark.parametrize("hand", Handedness)
 def test_the_surface_of_the_detail_moves_with_the_skin_and_has_its_texture(tmp_path, hand):
-    avatar = load_avatar_called("builtin").prefix(500).for_hand(hand)
+    avatar = coarse_builtin(500).for_hand(hand)
     detail, sequence = avatar.detail, motion(avatar, hand)
     assert detail is not None
     export_web(tmp_path, avatar, sequence, VIEW)
@@ -312,7 +311,7 @@ def test_the_surface_of_the_detail_moves_with_the_skin_and_has_its_texture(tmp_p
 def test_the_light_on_the_relief_turns_with_the_skin_as_the_engine_has_it(tmp_path, hand, towards):
     """At each vertex of the surface, in the light that the hand carries and in one that is turned; and the skin is as
     bent there."""
-    avatar = load_avatar_called("builtin").prefix(500).for_hand(hand)
+    avatar = coarse_builtin(500).for_hand(hand)
     detail, sequence = avatar.detail, motion(avatar, hand)
     assert detail is not None
     export_web(tmp_path, avatar, sequence, VIEW)
@@ -354,7 +353,7 @@ def slopes_of_the_engine(
 
 
 def test_the_relief_of_the_page_rises_as_that_of_the_engine(tmp_path):
-    avatar = load_avatar_called("builtin").prefix(500)
+    avatar = coarse_builtin(500)
     export_web(tmp_path, avatar, motion(avatar), VIEW)
     asked(tmp_path)
     detail = avatar.detail
