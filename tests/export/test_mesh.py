@@ -16,6 +16,7 @@ from jghand_engine.avatar.relief import HEIGHT_STEP_M, Relief
 from jghand_engine.cli import main
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
+from jghand_engine.export import skin
 from jghand_engine.export.mesh import MESH_FORMATS, export_meshes
 from jghand_engine.export.skin import TEXTURE_PX
 from jghand_engine.export.splats.cloud import RUB_FROM_UP
@@ -27,11 +28,18 @@ from jghand_engine.template.builtin import load_template
 POSITION_ERROR_M = 1e-7
 
 
+@pytest.fixture
+def few_texels(monkeypatch):
+    """For who looks at no color: most of the time of an export goes into its texture."""
+    monkeypatch.setattr(skin, "TEXTURE_PX", 64)
+
+
 def read(path) -> trimesh.Trimesh:
     """As trimesh reads it, nothing merged and nothing left out."""
     return trimesh.load(path, process=False, maintain_order=True, force="mesh")
 
 
+@pytest.mark.usefixtures("few_texels")
 @pytest.mark.parametrize("handedness", list(Handedness))
 @pytest.mark.parametrize("suffix", list(MESH_FORMATS.values()))
 def test_every_frame_is_the_surface_where_the_bones_put_it(tmp_path, suffix, handedness):
@@ -97,6 +105,7 @@ def test_the_texture_has_the_detail_of_the_hand(tmp_path, size):
     assert np.abs(ours - without)[:, TEXTURE_PX // 2 + 4 :].mean() < 2
 
 
+@pytest.mark.usefixtures("few_texels")
 @pytest.mark.parametrize("suffix", ["glb", "obj"])
 def test_the_relief_of_the_hand_is_a_normal_map(tmp_path, suffix):
     """Skin that rises along u leans back from it, skin that rises along the rows forward, up the texture."""
@@ -123,6 +132,7 @@ def test_the_relief_of_the_hand_is_a_normal_map(tmp_path, suffix):
         assert not normal[~detail.skin][:, :2].any()
 
 
+@pytest.mark.usefixtures("few_texels")
 def test_another_avatars_surface_is_refused_and_so_are_files_that_would_be_lost(tmp_path):
     avatar, motion = small_avatar(), lively_motion(Handedness.RIGHT, 1)
     foreign = replace(load_template(), identifier="another")
@@ -133,6 +143,7 @@ def test_another_avatars_surface_is_refused_and_so_are_files_that_would_be_lost(
         export_meshes(tmp_path, avatar, motion, FrameFiles(suffix="glb"))
 
 
+@pytest.mark.usefixtures("few_texels")
 @pytest.mark.parametrize("name", ["hand.0000.png", "hand.0000.mtl", "hand.normal.png", "hand.bump.png"])
 def test_a_picture_of_the_name_of_a_texture_is_not_replaced(tmp_path, name):
     relief = Relief(np.zeros((64, 64, 2), np.int8))
@@ -147,6 +158,7 @@ def test_a_picture_of_the_name_of_a_texture_is_not_replaced(tmp_path, name):
     assert sorted(path.name for path in tmp_path.iterdir()) == [f"hand.{name}" for name in written]
 
 
+@pytest.mark.usefixtures("few_texels")
 def test_frames_written_in_parts_share_the_pictures_of_the_relief(tmp_path):
     detail = replace(detail_of(np.full((64, 64, 3), 128, np.uint8)), relief=Relief(np.zeros((64, 64, 2), np.int8)))
     avatar, motion = replace(small_avatar(), detail=detail), lively_motion(Handedness.RIGHT, 2)

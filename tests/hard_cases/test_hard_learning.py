@@ -13,6 +13,7 @@ from small_trainings import SMALL, parameters_of, small_training
 
 from jghand_engine.errors import InputError
 from jghand_engine.learn.guard import find_non_finite
+from jghand_engine.learn.model import LearnedHand
 from jghand_engine.learn.skinning import pose_skin, seen_from
 from jghand_engine.study.stability_hands import hand_cases
 
@@ -27,15 +28,20 @@ def all_finite(tensors) -> bool:
 # ---- hands -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.fixture(scope="module")
+def learned() -> LearnedHand:
+    return small_hand(replace(ANISO, gaussians=60))
+
+
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_a_degenerate_hand_teaches_finite_gradients(case, dtype):
+def test_a_degenerate_hand_teaches_finite_gradients(learned, case, dtype):
     """Features, network, skin, light and gloss of a hand that has learned something; to the joints, too."""
     joints_m = case.joints_m.clone().to(dtype).requires_grad_(True)
     bones = bones_of(joints_m, case.handedness)
-    hand = small_hand(replace(ANISO, gaussians=60))
-    avatar = hand.avatar(INFO, handedness=case.handedness)
-    correction = hand.pose_net(bones.frames)
+    learned.zero_grad()
+    avatar = learned.avatar(INFO, handedness=case.handedness)
+    correction = learned.pose_net(bones.frames)
     eye_m = bones.root_m.detach() + torch.tensor([0.1, 0.2, 0.5], dtype=dtype)
     skin = pose_skin(avatar, bones, correction)
     drawn = seen_from(skin, eye_m, avatar)
@@ -43,7 +49,7 @@ def test_a_degenerate_hand_teaches_finite_gradients(case, dtype):
     values = [drawn.position_m, drawn.sigma_m, drawn.rgb, drawn.opacity, drawn.covariance_m2]
     assert all_finite(values)
     torch.stack([value.sum().to(dtype) for value in values]).sum().backward()
-    taught = [parameter.grad for parameter in hand.parameters() if parameter.grad is not None]
+    taught = [parameter.grad for parameter in learned.parameters() if parameter.grad is not None]
     assert len(taught) > 20
     assert joints_m.grad is not None
     assert all_finite([*taught, joints_m.grad])
