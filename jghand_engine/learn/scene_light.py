@@ -179,10 +179,14 @@ class Patches:
         """
         place_m, normal = self.mean(anchors.position_m), self.mean(anchors.normal)
         within2 = self.mean((anchors.position_m - place_m[self.of_anchor]).square().sum(1, keepdim=True))[:, 0]
-        way = place_m - anchors.position_m[:, None]
-        cosines = (way * anchors.normal[:, None]).sum(-1).clamp_min(0) * -(way * normal).sum(-1).clamp_max(0)
+        # by columns: a third of the time of rows of three
+        x_m, y_m, z_m = (place_m[:, k] - anchors.position_m[:, k, None] for k in range(3))
+        own, other = anchors.normal.T[..., None], normal.T
+        facing = x_m * own[0] + y_m * own[1] + z_m * own[2]
+        cosines = facing.clamp_min(0) * -(x_m * other[0] + y_m * other[1] + z_m * other[2]).clamp_max(0)
         # a disc of twice the mean squared distance; nearer than it is large, it is no point
-        faces = cosines * 2 * within2 / (way.square().sum(-1) + within2 + DISTANCE2_MIN).square()
+        way2 = x_m * x_m + y_m * y_m + z_m * z_m
+        faces = cosines * 2 * within2 / (way2 + within2 + DISTANCE2_MIN).square()
         whole = torch.maximum(faces.sum(1, keepdim=True), FACED_PART_MIN * hidden).clamp_min(FACED_MIN)
         return hidden * faces / whole
 
