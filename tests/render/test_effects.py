@@ -736,12 +736,12 @@ def mean_of(renderer: HandRenderer, shift_m: float, view: Camera, count: int) ->
     return sum(linear(renderer.render(place, view)).astype(np.float64) / count for place in places)
 
 
-@pytest.mark.parametrize("shift_m", [0.0002, 0.002, 0.01, 0.03, 0.08, 0.29, 0.45])
+@pytest.mark.parametrize("shift_m", [0.0002, 0.002, 0.01, 0.08, 0.45])
 def test_motion_blur_is_the_mean_of_very_many_pictures(shift_m: float):
     settings = replace(SMALL, shadow=ShadowMode.OFF, reuse=False, depth=False)
     renderer, view = HandRenderer(RIGHT, settings), camera()
     blurred = renderer.render_moments(moving(shift_m, view), EVEN)
-    brute = mean_of(renderer, shift_m, view, max(96, round(3000 * shift_m)))
+    brute = mean_of(renderer, shift_m, view, max(96, round(1800 * shift_m)))
     assert float(np.abs(linear(blurred) - brute).max()) <= blur.MOTION_ERROR_MAX  # observed 0.012
 
 
