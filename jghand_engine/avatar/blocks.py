@@ -7,11 +7,15 @@ cache. Only the order among Gaussians of exactly equal depth can tell (RENDERING
 from __future__ import annotations
 
 import ctypes
+import functools
 
 import numpy as np
 
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.tasks import LANES
+
+# orders that are not found anew: a hand has four, of some 80 ms, and its renderer is made again with other settings
+ORDERS_KEPT = 16
 
 
 class Blocks:
@@ -27,7 +31,8 @@ class Blocks:
     @classmethod
     def of(cls, position_m: np.ndarray) -> Blocks:
         """Of neighbors, by their places (N, D)."""
-        return cls(compact_order(position_m))
+        places = np.ascontiguousarray(position_m)
+        return cls(_known_order(places.tobytes(), places.dtype, places.shape[1]))
 
     @property
     def count(self) -> int:
@@ -59,6 +64,13 @@ class Blocks:
 def padded_rows(count: int) -> int:
     """Rows that `count` Gaussians take: whole blocks."""
     return -(-count // LANES) * LANES
+
+
+@functools.lru_cache(maxsize=ORDERS_KEPT)
+def _known_order(content: bytes, kind: np.dtype, columns: int) -> np.ndarray:
+    order = compact_order(np.frombuffer(content, kind).reshape(-1, columns))
+    order.flags.writeable = False
+    return order
 
 
 def compact_order(position_m: np.ndarray) -> np.ndarray:

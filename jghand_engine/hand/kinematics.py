@@ -270,13 +270,13 @@ def segment_way(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarray) 
 
     A few rounds of alternating projection; the distance is convex, so it only falls.
     """
-    a, b = a1 - a0, b1 - b0
-    on_b = np.full(np.broadcast(a, b).shape[:-1], 0.5)
-    on_a = on_b
+    a, b, way = a1 - a0, b1 - b0, b0 - a0
+    aa, ab, bb, aw, bw = ((one * other).sum(-1) for one, other in ((a, a), (a, b), (b, b), (a, way), (b, way)))
+    on_a = on_b = np.full(ab.shape, 0.5)
     for _ in range(GAP_ROUNDS):
-        on_a = (((b0 + on_b[..., None] * b - a0) * a).sum(-1) / (a * a).sum(-1)).clip(0, 1)
-        on_b = (((a0 + on_a[..., None] * a - b0) * b).sum(-1) / (b * b).sum(-1)).clip(0, 1)
-    return b0 + on_b[..., None] * b - a0 - on_a[..., None] * a
+        on_a = ((aw + on_b * ab) / aa).clip(0, 1)
+        on_b = ((on_a * ab - bw) / bb).clip(0, 1)
+    return way + on_b[..., None] * b - on_a[..., None] * a
 
 
 def bounded_least_squares(matrix: np.ndarray, target: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
