@@ -2,6 +2,7 @@
 the tests write, onto a hand."""
 
 import json
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -32,11 +33,17 @@ np.save(folder / "joints.npy", samples.standard(motion))
 """
 
 
+@pytest.fixture(scope="module")
+def written(engine_python, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("samples")
+    subprocess.run([engine_python, "-c", _SAMPLES, str(TESTS), str(folder)], check=True)
+    return folder
+
+
 @pytest.fixture
-def samples(engine, tmp_path):
+def samples(written, engine, tmp_path):
     """A folder with sample.bvh (centimeters, y up), sample.json of MediaPipe, and their joints.npy."""
-    subprocess.run([engine, "-c", _SAMPLES, str(TESTS), str(tmp_path)], check=True)
-    return tmp_path
+    return shutil.copytree(written, tmp_path, dirs_exist_ok=True)
 
 
 def converted(engine, path, *words):
