@@ -75,7 +75,7 @@ class Export(StartsJob, bpy.types.Operator):
                 recording.save(folder / f"{recording.name}.npz")
             return None
         if settings.format == "ply":
-            title, options = "Exporting PLY", ["--axes", settings.axes]
+            title, options = "Exporting PLY", ["--axes", settings.axes, "--surfels", str(settings.surfels)]
         else:
             title = "Exporting USD"
             options = usd_options(settings.variant, settings.width_factor, settings.radiance)

@@ -170,6 +170,15 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
         max=100.0,
     )
     axes: bpy.props.EnumProperty(name="Axes", description="Axes of the numbers in PLY files", items=AXES, default="rdf")
+    surfels: bpy.props.IntProperty(
+        name="Surfels",
+        description="Write the skin as so many flat splats with the colors of the hand's texture, for close-ups, such "
+        "as 200,000; 0 is the hand's own splats, which are coarser than its skin",
+        default=0,
+        min=0,
+        soft_max=400_000,
+        step=100_000,
+    )
 
 
 class JGHandTrainingSettings(bpy.types.PropertyGroup):

@@ -46,6 +46,7 @@ Examples:
   jghand export ply --poses open,fist --out splats
   jghand export glb --poses fist --frames 0 --out splats
   jghand export ply --poses open --light studio.hdr --out splats
+  jghand export ply --poses open --surfels 200000 --out splats
   jghand export web --poses open,fist,ok --out page
   jghand export mesh --poses fist --frames 0 --out meshes"""
 
@@ -84,6 +85,9 @@ class SplatFileOptions(LightOptions):
     axes: Annotated[Literal["rdf", "rub"] | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Axes of the numbers. Left out: rdf (x right, y down, z forward), which viewers expect of ply, splat and sog, or
     rub (y up), which is glTF's and SPZ's own."""
+    surfels: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
+    """Write the skin as so many flat splats with the colors of the hand's texture, for close-ups: 200000, or 400000. 0
+    is the avatar's own Gaussians, which are coarser than its skin."""
 
 
 @dataclass(frozen=True)
@@ -208,8 +212,9 @@ class Export:
         from jghand_engine.export.splats.files import SplatOptions, export_splats
 
         options = SplatOptions(
-            self.name, self.format, self.first_frame, self.overwrite, self.splats.axes, self.up, self.splats.read()
-        )
+            self.name, self.format, self.first_frame, self.overwrite, self.splats.axes, self.up, self.splats.read(),
+            self.splats.surfels,
+        )  # fmt: skip
         with progress(f"Writing {self.format}", len(motion.frames)) as bar:
             report = export_splats(self.out, avatar, motion.whole, options, frames=motion.frames, progress=bar.reach)
         figures = {"axes": report.axes, "light": report.light, "gaussians": report.gaussians}

@@ -1,7 +1,7 @@
 """Gaussians as splat files know them: centers, sizes along three axes, turns, opacity, color; and in which axes.
 
 Only colors of degree 0 are written: what the skin of a trained avatar mirrors depends on the camera, and is left out,
-as is the self-shadow. Of the texture of a hand's detail they have the means under the Gaussians.
+as is the self-shadow. Of the texture of a hand's detail they have the means under the Gaussians, or that on surfels.
 """
 
 from __future__ import annotations

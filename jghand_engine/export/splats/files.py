@@ -22,7 +22,9 @@ from jghand_engine.export.skin import with_detail_in_colors
 from jghand_engine.export.splats import gltf as gltf_splats
 from jghand_engine.export.splats import ply, spz
 from jghand_engine.export.splats.cloud import AXES_FROM_RUB, RUB_FROM_UP, SplatCloud
+from jghand_engine.export.splats.surfels import Surfels
 from jghand_engine.files import make_folder, write_file
+from jghand_engine.hand.rotations import quaternions
 from jghand_engine.hand.sequence import PoseSequence
 
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
@@ -103,14 +105,16 @@ class FrameFiles:
 class SplatOptions(FrameFiles):
     """What files are written; their suffix is a key of FORMATS.
 
-    axes:  of the numbers, rdf (x right, y down, z forward) or rub (y up); None: as the format's readers expect it
-    up:    the axis of the motion's world that points up
-    light: of a scene, that falls on the hand; None: what the avatar carries
+    axes:    of the numbers, rdf (x right, y down, z forward) or rub (y up); None: as the format's readers expect it
+    up:      the axis of the motion's world that points up
+    light:   of a scene, that falls on the hand; None: what the avatar carries
+    surfels: how many of them are written in place of the avatar's Gaussians, about; 0: those
     """
 
     axes: str | None = None
     up: str = "y"
     light: SceneLight | None = None
+    surfels: int = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -162,7 +166,7 @@ def export_splats(
     kind = FORMATS[options.suffix]
     kind.check()
     axes = options.axes or kind.axes[0]
-    clouds = SplatMotion(avatar, sequence, axes=axes, up=options.up, light=options.light)
+    clouds = SplatMotion(avatar, sequence, axes=axes, up=options.up, light=options.light, surfels=options.surfels)
     target, size = make_folder(folder), 0
     frames = range(len(sequence)) if frames is None else frames
     files = tuple(options.path(target, index) for index in frames)
@@ -173,15 +177,16 @@ def export_splats(
         size += len(content)
         if progress:
             progress(done, len(files))
-    return SplatReport(files, axes, clouds.light, len(avatar), size, kept)
+    return SplatReport(files, axes, clouds.light, clouds.gaussians, size, kept)
 
 
 class SplatMotion(HandMotion):
     """An avatar whose Gaussians are balls, driven by a sequence, as clouds.
 
-    axes:  a key of AXES_FROM_RUB
-    up:    the motion's axis upwards
-    light: of a scene; None: what the avatar carries
+    axes:    a key of AXES_FROM_RUB
+    up:      the motion's axis upwards
+    light:   of a scene; None: what the avatar carries
+    surfels: about how many make up each cloud, see `Surfels`; 0: the avatar's Gaussians do
     """
 
     def __init__(
@@ -192,20 +197,33 @@ class SplatMotion(HandMotion):
         axes: str,
         up: str = "y",
         light: SceneLight | None = None,
+        surfels: int = 0,
     ) -> None:
         check_balls(avatar)
-        super().__init__(with_detail_in_colors(avatar), sequence, light, up)
+        super().__init__(avatar if surfels else with_detail_in_colors(avatar), sequence, light, up)
         self._axes, self._axes_from_world = axes, AXES_FROM_RUB[axes] @ RUB_FROM_UP[up]
+        self._surfels = Surfels(self.avatar, surfels) if surfels else None
+
+    @property
+    def gaussians(self) -> int:
+        """How many a cloud has."""
+        return len(self.avatar) if self._surfels is None else len(self._surfels)
 
     def cloud(self, index: int) -> SplatCloud:
         """The Gaussians of a frame."""
-        posed, count = self.frame(index), len(self.avatar)
+        posed, turns = self.frame(index), np.eye(3)
         rgb = np.asarray(self.avatar.rgb, np.float32) if posed.rgb is None else posed.rgb
+        positions_m, scales_m, opacity = posed.position_m, posed.sigma_m[:, None], self.avatar.opacity
+        if self._surfels is not None:
+            pose, opacity = self.sequence.pose(index), self._surfels.opacity
+            bones = self._skeleton.bones(pose.joints_m, np.float64, forearm=pose.forearm)
+            positions_m, scales_m, turns, rgb = self._surfels.of_pose(bones, posed, rgb)
+            turns = self._axes_from_world @ turns
         return SplatCloud(
-            posed.position_m @ self._axes_from_world.T,
-            np.broadcast_to(posed.sigma_m[:, None], (count, 3)),
-            np.broadcast_to([1.0, 0.0, 0.0, 0.0], (count, 4)),
-            np.asarray(self.avatar.opacity, np.float32),
+            positions_m @ self._axes_from_world.T,
+            np.broadcast_to(scales_m, (self.gaussians, 3)),
+            np.broadcast_to(quaternions(turns), (self.gaussians, 4)),
+            np.asarray(opacity, np.float32),
             np.clip(rgb, 0, 1),
             self._axes,
             self.light,
