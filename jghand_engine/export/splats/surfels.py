@@ -166,8 +166,9 @@ def halved(corner_m: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         turned = (longest[:, None] + np.arange(3)) % 3
         a, b, c = np.moveaxis(np.take_along_axis(three, turned[..., None], 1), 1, 0)
         middle = (a + b) / 2
-        rows = np.cumsum(1 + is_large)[is_large] - 1
-        face, part, area_m2 = (values.repeat(1 + is_large, 0) for values in (face, part, area_m2))
+        copies = np.where(is_large, 2, 1)
+        rows = np.cumsum(copies)[is_large] - 1
+        face, part, area_m2 = face.repeat(copies), part.repeat(copies, 0), area_m2.repeat(copies)
         part[rows - 1], part[rows] = np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)
         area_m2[rows - 1] = area_m2[rows] = area_m2[rows] / 2
     return face, part
