@@ -28,17 +28,30 @@ from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import DetailedHand
+from jghand_engine.render.fine_faces import FineFaces
 from jghand_engine.render.framing import framing_camera
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import ShadowMode, preset
 
-COUNT = 20_000
+COUNT = 60_000
 
 
 def on_skin(texture: np.ndarray, handedness: Handedness = Handedness.RIGHT) -> HandAvatar:
     """A painted hand that its surface ends, which poses move."""
     avatar = moving(detailed(texture, handedness))
     return replace(avatar, detail=replace(avatar.detail, ends_hand=True))
+
+
+def parts_of(avatar: HandAvatar, *values: np.ndarray) -> list[np.ndarray]:
+    """(S, 3, C) at the corners of its surfels' parts, of values (V, C) at the vertices, in float64."""
+    detail = avatar.detail
+    fine = FineFaces.of(detail.faces, detail.face_uv, len(detail.position_m))
+    rest_m, *others = (
+        np.concatenate([one, np.einsum("sk,skc->sc", fine.share, one[fine.around])])
+        for one in (detail.position_m, *values)
+    )
+    face, part = halved(rest_m[fine.faces], COUNT)
+    return [part @ one[fine.faces[face]] for one in others]
 
 
 def test_parts_of_faces_are_as_even_as_halves_can_be_and_cover_them():
@@ -53,21 +66,27 @@ def test_parts_of_faces_are_as_even_as_halves_can_be_and_cover_them():
     assert 4900 < len(face) <= 5000
     split = np.bincount(face)[face] > 1
     assert area_m2.max() <= 2 * area_m2[split].min() * (1 + 1e-9)
-    # halves of the longest sides: none becomes a splinter, but of faces that are
-    middle = part.mean(1)
-    assert len(np.unique(np.column_stack([face, middle]).round(9), axis=0)) == len(face)
+    # Rosenberg and Stenger, 1975: halved over their longest sides, no angle becomes less than half of the smallest
+    assert (smallest_rad(part @ corner_m[face]) >= 0.5 * smallest_rad(corner_m)[face] - 1e-9).all()
+    assert len(np.unique(np.column_stack([face, part.mean(1)]).round(9), axis=0)) == len(face)
+
+
+def smallest_rad(corner_m: np.ndarray) -> np.ndarray:
+    """(F,) the smallest angle of triangles (F, 3, 3)."""
+    one, other = np.roll(corner_m, -1, 1) - corner_m, np.roll(corner_m, -2, 1) - corner_m
+    cosine = (one * other).sum(-1) / np.linalg.norm(one, axis=-1) / np.linalg.norm(other, axis=-1)
+    return np.arccos(cosine.clip(-1, 1)).min(1)
 
 
 @pytest.mark.parametrize("handedness", Handedness)
 def test_surfels_lie_flat_below_the_same_places_of_the_skin_in_every_pose(handedness):
     avatar, motion = on_skin(flat(256, 0.0), handedness), lively_motion(handedness, 2)
     clouds = SplatMotion(avatar, motion, axes="rub", surfels=COUNT)
-    face, part = halved(avatar.detail.position_m[avatar.detail.faces].astype(np.float64), COUNT)
     hand, skeleton = DetailedHand.of(avatar, 1.0), avatar.skeleton()
     for index in range(2):
         pose, cloud = motion.pose(index), clouds.cloud(index)
         bones = skeleton.bones(pose.joints_m, np.float64, forearm=pose.forearm)
-        corner_m = part @ hand.posed_m(bones)[avatar.detail.faces[face]]
+        (corner_m,) = parts_of(avatar, hand.posed_m(bones))
         across = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
         across /= np.linalg.norm(across, axis=1, keepdims=True)
         outward = across if handedness is Handedness.RIGHT else -across
@@ -83,14 +102,15 @@ def test_surfels_lie_flat_below_the_same_places_of_the_skin_in_every_pose(handed
         np.testing.assert_allclose(turns, 1, atol=1e-6)
 
 
-def test_surfels_have_the_colors_that_gaussians_blend_times_the_texture():
-    """Of one color, whatever the texture's ratio; and what lies deeper is not seen."""
+def test_surfels_have_the_colors_of_the_outermost_gaussians_times_the_texture():
     avatar, motion = on_skin(flat(256, np.log(0.5))), lively_motion(Handedness.RIGHT, 1)
-    red = replace(avatar, rgb=np.tile(np.float32([0.8, 0.2, 0.2]), (len(avatar), 1)))
-    one, half = (SplatMotion(hand, motion, axes="rub", surfels=COUNT).cloud(0) for hand in (red, avatar))
+    is_deep = avatar.uvd[:, 2] < np.median(avatar.uvd[:, 2])
+    avatar = replace(avatar, rgb=np.where(is_deep[:, None], np.float32([0, 0.8, 0]), np.float32([0.8, 0, 0])))
+    rgb = SplatMotion(avatar, motion, axes="rub", surfels=COUNT).cloud(0).rgb
     # the byte of half is off by 0.3 %
-    np.testing.assert_allclose(one.rgb, np.broadcast_to([0.4, 0.1, 0.1], one.rgb.shape), rtol=4e-3)
-    assert half.rgb.std(0).min() > 0.005
+    np.testing.assert_allclose(rgb.sum(1), 0.4, rtol=4e-3)
+    # observed 0.079; a mean of all has 0.2
+    assert rgb[:, 1].mean() < 0.09
 
 
 def test_what_blur_takes_of_a_texture_is_in_the_colors_before():
@@ -122,8 +142,7 @@ def test_the_end_of_a_hand_fades_with_its_surface():
     avatar = on_skin(flat(256, 0.0))
     shown = (avatar.detail.position_m[:, 1] * 20).clip(0, 1)
     surfels = Surfels(replace(avatar, detail=replace(avatar.detail, whole=shown.astype(np.float32))), COUNT)
-    face, part = halved(avatar.detail.position_m[avatar.detail.faces].astype(np.float64), COUNT)
-    whole = (part @ shown[avatar.detail.faces[face]][..., None]).mean((1, 2))
+    whole = parts_of(avatar, shown[:, None])[0].mean((1, 2))
     assert (surfels.opacity[whole >= 1] == 1).all()
     assert (surfels.opacity[whole <= 0] == 0).all()
     # next to 1 a fifth root is steep: rounding is seen
@@ -187,11 +206,12 @@ def figures(rgba: np.ndarray, true: np.ndarray, side_px: int) -> tuple[float, fl
     return psnr_db(ours, theirs), float(np.mean([psnr_db(*crop) for crop in crops])), power
 
 
-# how much nearer the whole picture is, and the inside of the hand, dB; observed: 10.5 and 2.8, 11.2 and 3.5, 5.7 and
-# -0.7. In a fist Gaussians leave the skin: the engine's outline is torn at the heel of the palm, and what lies deeper
+# how much nearer the whole picture is, and the inside of the hand, dB; observed: 10.5 and 2.9, 10.9 and 3.4, 4.7 and
+# -0.4. In a fist Gaussians leave the skin: the engine's outline is torn at the heel of the palm, and what lies deeper
 # is seen aslant through others
 @pytest.mark.parametrize(
-    ("pose", "view", "gain_db"), [("open", "front", (10, 2.3)), ("open", "back", (10.5, 3)), ("fist", "front", (5, -1))]
+    ("pose", "view", "gain_db"),
+    [("open", "front", (10, 2.5)), ("open", "back", (10.4, 3)), ("fist", "front", (4.3, -0.8))],
 )
 def test_pictures_of_surfels_are_nearer_to_those_of_the_texture_and_show_its_detail(pose, view, gain_db):
     avatar, lines = matt_hand(), (768, 1080)
@@ -202,7 +222,7 @@ def test_pictures_of_surfels_are_nearer_to_those_of_the_texture_and_show_its_det
         cloud = clouds.cloud(0)
         for size in lines:
             camera = framing_camera(joints_m[None], Handedness.RIGHT, view, width=size, height=size)
-            settings = replace(preset("viewport"), shadow=ShadowMode.OFF)
+            settings = replace(preset("final"), shadow=ShadowMode.OFF)
             true = HandRenderer(avatar, settings).render(joints_m, camera).rgba
             side_px = round(CROP_MM * camera.fx / 1e3 / camera.project(joints_m)[1].mean())
             rgba = drawn(cloud, camera)

@@ -25,7 +25,7 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.rotations import unit
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.render.detail import DetailedHand
-from jghand_engine.render.fine_faces import parted_in_four
+from jghand_engine.render.fine_faces import FineFaces, parted_in_four
 from jghand_engine.template.texture import sample_bilinear
 
 # sigma over the standard deviation of places in a part: less leaves holes, more blurs. Long parts are rounder by this
@@ -67,17 +67,20 @@ class Surfels:
                 came="one without a texture" if detail is None else "one whose surface is only near its skin",
                 remedy="Export its Gaussians, without surfels.",
             )  # fmt: skip
-        if count < len(detail.faces):
-            wanted = f"at least {len(detail.faces)}, one for each face of its surface"
+        # four for each, as close-ups have them: outlines show no corners
+        self._fine = FineFaces.of(detail.faces, detail.face_uv, len(detail.position_m))
+        faces = self._fine.faces
+        if count < len(faces):
+            wanted = f"at least {len(faces)}, one for each face of its surface"
             raise InputError(f"surfels of {avatar.info.name}", wanted=wanted, came=str(count))
         self._hand = DetailedHand.of(avatar, detail_power(avatar, in_scene=False))
         self._opacity = avatar.opacity.astype(np.float32)
         self._albedo = linear_to_srgb(material_of(avatar).albedo)
-        face, part = halved(detail.position_m[detail.faces].astype(np.float64), count)
-        self._corner, self._part = detail.faces[face], part.astype(np.float32)
-        in_face = np.arange(len(face)) - np.searchsorted(face, face)
+        face, part = halved(self._with_middles(detail.position_m)[faces], count)
+        self._corner, self._part, coarse = faces[face], part.astype(np.float32), face // 4
+        in_face = np.arange(len(face)) - np.searchsorted(coarse, coarse)
         self._group = np.cumsum(in_face % TOGETHER == 0) - 1
-        uv = part @ detail.face_uv[face]
+        uv = part @ self._fine.face_uv[face]
         texture = log_ratios(filled(detail.texture, detail.skin))
         self._ratio = np.exp(self._hand.power * _sharpened(texture, uv)).astype(np.float32)
         self._rise_m: np.ndarray | None = None
@@ -88,7 +91,7 @@ class Surfels:
             self._rise_m = np.stack([along @ rise[..., None] for rise in rises_m])[..., 0].astype(np.float32)
             self._bend = Bend(detail.position_m, finger_shares(detail.bone_weights), avatar.canonical_joints_m)
         # in double precision: next to 1 a root is steep
-        whole = (part * detail.shown[self._corner][:, None]).sum(-1).mean(1).clip(0, 1)
+        whole = (part * self._with_middles(detail.shown)[self._corner][:, None]).sum(-1).mean(1).clip(0, 1)
         self.opacity = (1 - (1 - whole) ** (1 / LAYERS)).astype(np.float32)
 
     def __len__(self) -> int:
@@ -126,7 +129,12 @@ class Surfels:
 
     def _of_corners(self, values: np.ndarray) -> np.ndarray:
         """(S, 3, C) at the corners of the parts, of values (V, C) at the vertices."""
-        return self._part @ values[self._corner].astype(np.float32)
+        return self._part @ self._with_middles(values)[self._corner].astype(np.float32)
+
+    def _with_middles(self, values: np.ndarray) -> np.ndarray:
+        """(V + sides, ...) of values (V, ...) at the vertices, behind them those in the middles of sides."""
+        middles = np.einsum("sk,sk...->s...", self._fine.share, values[self._fine.around])
+        return np.concatenate([values, middles])
 
     def _blended(
         self, posed: PosedHand, root_m: np.ndarray, colors: np.ndarray, place_m: np.ndarray, normal: np.ndarray
