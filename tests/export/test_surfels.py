@@ -214,7 +214,7 @@ def figures(rgba: np.ndarray, true: np.ndarray, side_px: int) -> tuple[float, fl
     [("open", "front", (10, 2.5)), ("open", "back", (10.4, 3)), ("fist", "front", (4.3, -0.8))],
 )
 def test_pictures_of_surfels_are_nearer_to_those_of_the_texture_and_show_its_detail(pose, view, gain_db):
-    avatar, lines = matt_hand(), (768, 1080)
+    avatar, lines = matt_hand(), (400, 768, 1080)
     joints_m = named_pose(pose, avatar.rest_joints_m, handedness=Handedness.RIGHT, fist=avatar.fist)
     clouds, said = SplatMotion(avatar, PoseSequence(joints_m[None], 30.0, Handedness.RIGHT), axes="rub"), {}
     for count in (0, 200_000):
