@@ -15,13 +15,15 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
 from jghand_engine.avatar.detail import ratio_bytes
 from jghand_engine.avatar.forearm import ended
+from jghand_engine.color import linear_to_srgb
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import flatten
 from jghand_engine.export.splats.cloud import SplatCloud
 from jghand_engine.export.splats.files import SplatMotion, SplatOptions, export_splats
-from jghand_engine.export.splats.surfels import BELOW_M, THICKNESS_M, Surfels, halved
+from jghand_engine.export.splats.surfels import BELOW_M, THICKNESS_M, Surfels, halved, turned_light
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
+from jghand_engine.hand.rotations import unit
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.learn.crops import CROP_MM, INSIDE, detail_power, places
 from jghand_engine.learn.gaussians import Gaussians
@@ -136,6 +138,18 @@ def test_a_left_hand_is_the_mirror_image_of_a_right_one():
     np.testing.assert_allclose(left.rgb, right.rgb, atol=0.002)
     there, here = (Found.of_cloud(cloud).covariance_m2 for cloud in (right, left))
     np.testing.assert_allclose(here, there * np.outer(mirror, mirror), atol=1e-9)
+
+
+@pytest.mark.parametrize("strength", [0.0, 0.3])
+def test_a_relief_turns_in_the_light_that_colors_show(strength):
+    """In one from a side, as skin shows it whose albedo changes from place to place; and in none."""
+    g = np.random.default_rng(6)
+    normal, turned = (unit(way) for way in (g.normal(size=(900, 3)), g.normal(size=(900, 3))))
+    albedo, towards = g.uniform(0.2, 0.8, (900, 3)), unit(np.array([0.3, 0.9, 0.4]))
+    light, other = (strength * (1 + 0.3 * (way @ towards)[:, None]) for way in (normal, turned))
+    found = turned_light(linear_to_srgb(albedo * light), albedo, normal, turned)
+    wanted = (other / light) ** (1 / 2.2) if strength else 1
+    np.testing.assert_allclose(found, np.broadcast_to(wanted, found.shape), rtol=1e-5)
 
 
 def test_the_end_of_a_hand_fades_with_its_surface():

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.cast_task import posed_joints_m
+from jghand_engine.avatar.cast_task import LIGHT_TO_DISPLAY, posed_joints_m
 from jghand_engine.avatar.detail import log_ratios
 from jghand_engine.avatar.detail_mips import filled
 from jghand_engine.avatar.nearest import nearest_centers
@@ -19,7 +19,7 @@ from jghand_engine.avatar.posing import PosedHand
 from jghand_engine.avatar.relief import LIGHT_CHANGE_MAX, Bend, finger_shares
 from jghand_engine.avatar.relighting import detail_power, material_of
 from jghand_engine.avatar.scene_light import harmonics
-from jghand_engine.color import linear_to_srgb
+from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.rotations import unit
@@ -45,9 +45,10 @@ TOGETHER, NEIGHBORS = 8, 16
 UNCOVERED = 1e-6
 # about so many surfels lie over one another: each fades sooner at the end of a hand, so that all together fade evenly
 LAYERS = 5
-# harmonics of the light that a relief turns in: of degrees 0 to 2, as matt skin has hardly more of a light
-LIGHT_TERMS = 9
-# colors and albedos below count as this: logarithms of black say nothing of light
+# harmonics of the light that a relief turns in: of degrees 0 to 2, as matt skin has hardly more of a light; they go
+# below zero, so that normals get at least this part of the mean
+LIGHT_TERMS, LIGHT_FLOOR = 9, 0.3
+# albedos below count as this: what is black says nothing of light
 DARK = 1e-3
 # halvings of the largest face, at most: more than a machine has memory for
 HALVINGS_MAX = 24
@@ -75,7 +76,7 @@ class Surfels:
             raise InputError(f"surfels of {avatar.info.name}", wanted=wanted, came=str(count))
         self._hand = DetailedHand.of(avatar, detail_power(avatar, in_scene=False))
         self._opacity = avatar.opacity.astype(np.float32)
-        self._albedo = linear_to_srgb(material_of(avatar).albedo)
+        self._albedo = material_of(avatar).albedo
         face, part = halved(self._with_middles(detail.position_m)[faces], count)
         self._corner, self._part, coarse = faces[face], part.astype(np.float32), face // 4
         in_face = np.arange(len(face)) - np.searchsorted(coarse, coarse)
@@ -102,15 +103,17 @@ class Surfels:
         (S, 3), display-referred. posed: the Gaussians in that pose · rgb: (N, 3) their colors"""
         corner_m = self._of_corners(self._hand.posed_m(bones) - bones.root_m)
         place_m = corner_m.mean(1)
-        sides_m = corner_m[:, 1:] - corner_m[:, :1]
-        across_m2 = np.cross(sides_m[:, 0], sides_m[:, 1])
+        side_m, other_m = corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0]
+        across_m2 = np.cross(side_m, other_m)
         normal = unit(across_m2) * (1 if self._hand.handedness is Handedness.RIGHT else -1)
         apart_m = corner_m - place_m[:, None]
         # of places in a triangle it is a twelfth of that sum; the smallest, along the normal, is none
         variance_m2, turn = np.linalg.eigh(np.einsum("skc,skd->scd", apart_m, apart_m) / 12)
         turn[..., 0] *= np.linalg.det(turn)[:, None]
         flat_m2 = variance_m2[:, 1:] + ROUNDER * (variance_m2[:, 1:].mean(1, keepdims=True) - variance_m2[:, 1:])
-        sigmas_m = np.concatenate([np.full((len(self), 1), THICKNESS_M), WIDTH * np.sqrt(flat_m2)], 1)
+        # parts of no area have a size, too: files hold its logarithm
+        flat_m = WIDTH * np.sqrt(np.maximum(flat_m2, THICKNESS_M**2))
+        sigmas_m = np.concatenate([np.full((len(self), 1), THICKNESS_M), flat_m], 1)
         both = np.concatenate([rgb, self._albedo], 1).astype(np.float32)
         blended, albedo = np.split(self._blended(posed, bones.root_m, both, place_m, normal), 2, 1)
         colors = blended * self._ratio
@@ -120,11 +123,9 @@ class Surfels:
             straight, changed = self._rise_m[0], self._rise_m[1] - self._rise_m[0]
             rise_m = straight + self._of_corners(bent[:, None]).mean(1) * changed
             # that has these rises along both sides
-            slope = rise_m[:, :1] * np.cross(sides_m[:, 1], across_m2) - rise_m[:, 1:] * np.cross(
-                sides_m[:, 0], across_m2
-            )
+            slope = rise_m[:, :1] * np.cross(other_m, across_m2) - rise_m[:, 1:] * np.cross(side_m, across_m2)
             slope *= bones.scale / np.maximum(np.square(across_m2).sum(1, keepdims=True), np.finfo(np.float32).tiny)
-            colors = colors * _turned_light(blended, albedo, normal, unit(normal - slope))
+            colors = colors * turned_light(blended, albedo, normal, unit(normal - slope))
         return place_m - bones.scale * BELOW_M * normal + bones.root_m, sigmas_m, turn, colors.clip(0, 1)
 
     def _of_corners(self, values: np.ndarray) -> np.ndarray:
@@ -182,13 +183,16 @@ def halved(corner_m: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     return face, part
 
 
-def _turned_light(colors: np.ndarray, albedo: np.ndarray, normal: np.ndarray, turned: np.ndarray) -> np.ndarray:
-    """(S, 3) what skin of other normals (S, 3) makes of its colors (S, 3). How light goes with the normal is read from
-    these, whatever lights them: logarithms of what albedo (S, 3) became, as harmonics."""
-    lit = np.log(np.maximum(colors, DARK) / np.maximum(albedo, DARK))
+def turned_light(colors: np.ndarray, albedo: np.ndarray, normal: np.ndarray, turned: np.ndarray) -> np.ndarray:
+    """(S, 3) what skin of other normals (S, 3) makes of its display-referred colors (S, 3). How light goes with the
+    normal is read from these, whatever lights them: what of a linear albedo (S, 3) they show, as harmonics."""
+    lit = srgb_to_linear(colors) / np.maximum(albedo, DARK)
     waves, others = (harmonics(way)[:, :LIGHT_TERMS] for way in (normal, turned))
     light, *_ = np.linalg.lstsq(waves, lit, rcond=None)
-    return np.exp((others - waves) @ light).clip(1 / (1 + LIGHT_CHANGE_MAX), 1 + LIGHT_CHANGE_MAX)
+    # without any light nothing turns
+    least = LIGHT_FLOOR * lit.mean(0) + np.finfo(float).tiny
+    before, after = (np.maximum(wave @ light, least) for wave in (waves, others))
+    return (after / before).clip(1 / (1 + LIGHT_CHANGE_MAX), 1 + LIGHT_CHANGE_MAX) ** LIGHT_TO_DISPLAY
 
 
 def _sharpened(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
