@@ -13,16 +13,21 @@ import numpy as np
 from other_person import Somebody, person_detail
 from scipy import sparse
 from scipy.sparse.linalg import factorized
+from scipy.spatial import KDTree
 
 from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
 from jghand_engine.avatar.detail_correctives import NUMBERS, DetailCorrectives, angle_numbers
+from jghand_engine.avatar.posing import Posing
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN
 from jghand_engine.captures.making.poses import varied_poses
 from jghand_engine.captures.making.rig import RiggedHand
 from jghand_engine.captures.skin.surface import SkinSurface
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import named_pose
+from jghand_engine.hand.shapes import pose_names
 from jghand_engine.learn.fist import with_fist
+from jghand_engine.render.detail import DetailedHand
 from jghand_engine.template.reshape import pulled_back
 from jghand_engine.template.subdivision import Subdivision
 from jghand_engine.template.surface import directed_edges, vertex_normals
@@ -37,15 +42,37 @@ RIDGE = 3e-5
 # vertices at once: bounds the memory to 100 MB
 AT_ONCE = 512
 STEPS = 127
+# so much of the skin Gaussians are to cover, as a color is known from 1/64 on (native/detail.cpp); how many around it do;
+# the nearest one grows, as if it covered this in its middle at least, to this size at most, meters: it would be a blot
+REACH_ALPHA, REACH_NEIGHBORS, REACH_OPACITY, REACH_SIGMA_M = 0.04, 12, 0.3, 0.0015
 
 
 def with_maps(avatar: HandAvatar, person: Somebody) -> HandAvatar:
-    """The avatar with the detail of its person's maps on that person's skin, and the fist that this wants; one without
-    detail as it is."""
+    """The avatar with the detail of its person's maps on that person's skin, the fist that this wants, and Gaussians
+    that reach that skin; one without detail as it is."""
     if avatar.detail is None:
         return avatar
     avatar = registered(avatar, person)
-    return with_fist(replace(avatar, detail=person_detail(avatar, person)))
+    return reaching_skin(with_fist(replace(avatar, detail=person_detail(avatar, person))))
+
+
+def reaching_skin(avatar: HandAvatar) -> HandAvatar:
+    """The avatar, with a detail, whose Gaussians are so large that the skin has a color at its outline, too, in all
+    named poses: a picture ends where it knows no color."""
+    hand, posing, skeleton = DetailedHand.of(avatar, 1.0), Posing(avatar), avatar.skeleton()
+    ends, sigma_m = directed_edges(avatar.detail.faces), avatar.sigma_m.astype(np.float64)
+    for name in pose_names():
+        joints_m = named_pose(name, avatar.rest_joints_m, handedness=Handedness.RIGHT, fist=avatar.fist)
+        posed, skin_m = posing(joints_m), hand.posed_m(skeleton.bones(joints_m))
+        place_m = np.concatenate([skin_m, skin_m[ends].mean(1)])
+        grown = posed.sigma_m / avatar.sigma_m
+        apart_m, near = KDTree(posed.position_m).query(place_m, k=REACH_NEIGHBORS)
+        covers = avatar.opacity[near] * np.exp(-0.5 * (apart_m / (sigma_m * grown)[near]) ** 2)
+        few = covers.sum(1) < REACH_ALPHA
+        apart_m, near = apart_m[few, 0], near[few, 0]
+        wanted_m = apart_m / np.sqrt(2 * np.log(avatar.opacity[near].clip(REACH_OPACITY) / REACH_ALPHA)) / grown[near]
+        np.maximum.at(sigma_m, near, wanted_m.clip(max=REACH_SIGMA_M))
+    return replace(avatar, sigma_m=sigma_m.astype(np.float32))
 
 
 def registered(avatar: HandAvatar, one: Somebody) -> HandAvatar:

@@ -134,3 +134,24 @@ def test_another_mesh_is_refused(child):
 def test_a_hand_without_detail_is_refused():
     with pytest.raises(InputError, match="detail"):
         registration.registered(replace(AVATAR, detail=None), of_adult())
+
+
+def test_gaussians_grow_where_the_skin_would_have_no_color_and_nowhere_else(monkeypatch):
+    monkeypatch.setattr(registration, "pose_names", lambda: ("open", "fist"))
+    hand = load_builtin(handedness=Handedness.RIGHT)
+    is_small = np.arange(len(hand)) % 7 == 0
+    small = replace(hand, sigma_m=np.where(is_small, 1e-4, hand.sigma_m).astype(np.float32))
+    grown = registration.reaching_skin(small)
+    assert (grown.sigma_m >= small.sigma_m).all()
+    assert 0.005 < (grown.sigma_m > small.sigma_m).mean() < 0.05, "seen: 0.011"
+    joints_m = named_pose("fist", hand.rest_joints_m, handedness=Handedness.RIGHT, fist=hand.fist)
+    skin_m = DetailedHand.of(hand, 1.0).posed_m(hand.skeleton().bones(joints_m))
+    reached = [covered(one, joints_m, skin_m) > 0.8 * registration.REACH_ALPHA for one in (small, grown)]
+    assert (~reached[1]).mean() < 0.2 * (~reached[0]).mean(), "seen: 0.07 % of 0.7 %"
+
+
+def covered(avatar: HandAvatar, joints_m: np.ndarray, place_m: np.ndarray) -> np.ndarray:
+    """(P,) how much the Gaussians that are nearest to places (P, 3) cover of them."""
+    posed = Posing(avatar)(joints_m)
+    apart_m, near = KDTree(posed.position_m).query(place_m, k=registration.REACH_NEIGHBORS)
+    return (avatar.opacity[near] * np.exp(-0.5 * (apart_m / posed.sigma_m[near]) ** 2)).sum(1)
