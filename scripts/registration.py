@@ -42,7 +42,7 @@ RIDGE = 3e-5
 # vertices at once: bounds the memory to 100 MB
 AT_ONCE = 512
 STEPS = 127
-# so much of the skin Gaussians are to cover, as a color is known from 1/64 on (native/detail.cpp); so many around it do;
+# so much of the skin Gaussians are to cover: a color is known from 1/64 on (native/detail.cpp); so many around it do
 # the nearest one grows, as if it covered this in its middle at least, to this size at most, meters: it would be a blot
 REACH_ALPHA, REACH_NEIGHBORS, REACH_OPACITY, REACH_SIGMA_M = 0.04, 12, 0.3, 0.0015
 
