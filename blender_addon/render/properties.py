@@ -173,10 +173,11 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
     surfels: bpy.props.IntProperty(
         name="Surfels",
         description="Write the skin as so many flat splats with the colors of the hand's texture, for close-ups, such "
-        "as 200,000; 0 is the hand's own splats, which are coarser than its skin",
+        "as 200,000, at least 56,000 for most; 0 is the hand's own splats, which are coarser than its skin",
         default=0,
         min=0,
         soft_max=400_000,
+        max=2_000_000,
         step=100_000,
     )
 

@@ -59,7 +59,7 @@ def anchor_blocks(position_m: np.ndarray, normal: np.ndarray) -> Blocks:
 
 
 def anchors_beside(position_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """(A, EVENED) anchors whose mean is taken of the skin that they see, each itself among them: what is found of few
+    """(A, EVENED) anchors, those nearest to each, whose mean is taken of the skin that they see: what is found of few
     patches differs more from anchor to anchor than light does. Of a hand of fewer, some count twice."""
     at = _by_place_and_normal(position_m, normal)
     near = nearest_centers(at, at, EVENED)

@@ -11,11 +11,13 @@ def nearest_centers(points_m: np.ndarray, centers_m: np.ndarray, count: int) -> 
     centers all."""
     count = min(count, len(centers_m))
     found = np.empty((len(points_m), count), np.int64)
-    boxes = [(np.arange(len(points_m)), np.arange(len(centers_m)), NEAR_M)]
+    boxes = [(np.arange(len(points_m)), np.arange(len(centers_m)), NEAR_M)] if len(points_m) else []
     while boxes:
         some, near, margin_m = boxes.pop()
         low_m, high_m = points_m[some].min(axis=0) - margin_m, points_m[some].max(axis=0) + margin_m
-        inside = near[((centers_m[near] >= low_m) & (centers_m[near] <= high_m)).all(axis=1)]
+        # what is not finite is in no box: it gets any
+        is_inside = ((centers_m[near] >= low_m) & (centers_m[near] <= high_m)).all(axis=1) | np.isinf(margin_m)
+        inside = near[is_inside]
         if len(some) > BLOCK:
             some = some[points_m[some, (high_m - low_m).argmax()].argsort()]
             boxes += [(half, inside, margin_m) for half in np.array_split(some, 2)]

@@ -123,6 +123,9 @@ class FittedHand:
         """What `save` wrote. InputError for a file that is none."""
         own = ("joints_m", "own_joints_m", "shape", "outline_residual")
         arrays = read_arrays(path, (*own, *PACKED), str(path), max_bytes=_NPZ_BYTES_MAX)
+        if arrays["shape"].shape != (SHAPE_COUNT,):
+            raise InputError(f"shape in {path}", wanted=f"{SHAPE_COUNT} numbers", came=f"{arrays['shape'].shape}",
+                             remedy="Begin anew, without --resume.")  # fmt: skip
         return cls(*unpacked(arrays), *(arrays[name] for name in own))
 
 

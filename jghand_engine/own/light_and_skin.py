@@ -54,8 +54,9 @@ LIGHT_ROUNDS, LIGHT_STEPS, STEP_MAX = 4, 2, 1.0
 # Gaussian, some 35 degrees wide), and spread of its color's logarithm. Those of Blender's worlds that no test film has
 # (city, studio, sunrise, sunset), turned any way, with up to two lamps in the front half, have 1.5, 4 to 8, and 0.3
 LIGHT_SPREAD, LIGHT_SHARPNESS, HUE_SPREAD = 1.4, 5.0, 0.25
-# so much more of it, as a logarithm, comes from above than from below (1.9 in those worlds), and from the camera and
-# from the sides than from straight behind the hand, as people are told to film: no skin that a film shows faces there
+# so much more of it, as a logarithm, comes from above than from below (1.9 in those worlds); and from the camera and
+# from the sides than from straight behind the hand, as people are told to film: no skin that a film shows faces there.
+# With this, films of a man and a woman and photographs of them are nearest to the truth, together
 LIGHT_RISE, LIGHT_FALL = 2.0, 1.25
 # skin that turns away from the camera is brighter than the model of known light has it, as a logarithm for a cosine of
 # 0: 0.17 to 0.22, 0.26 to 0.34 and 0.31 to 0.37 in two rendered films whose light is known, of dark and of light skin,
@@ -188,9 +189,7 @@ def film_light(film: LitFilm) -> tuple[World, list[Answer]]:
     own, thrown = film.reach(count)
     ways, gloss = lamp_directions(CELLS), torch.zeros_like(color)
     precision = _precision(ways)
-    # before anything is seen: towards the camera is +z, up in its pictures +y
-    brighter = LIGHT_RISE / 2 * ways[:, 1] + LIGHT_FALL * np.minimum(ways[:, 2], 0)
-    likely = torch.from_numpy(brighter).float()[:, None].expand(CELLS, 3)
+    likely = torch.from_numpy(likely_light(ways)).float()[:, None].expand(CELLS, 3)
     log_light, world, answers = likely, World.of_cells(likely.exp().double().numpy()), []
     for _ in range(LIGHT_ROUNDS):
         target = (color - gloss).clamp_min(LEAST).log() - beyond - limb
@@ -208,6 +207,12 @@ def film_light(film: LitFilm) -> tuple[World, list[Answer]]:
         matt_rgb = torch.stack([answer.matt[:count] for answer in answers]).clamp_min(LEAST)
         beyond = matt_rgb.log() - _taken(log_light, own, thrown, film.response.bounce)
     return world, answers
+
+
+def likely_light(ways: np.ndarray) -> np.ndarray:
+    """(L,) logarithms of the light from directions (L, 3), before anything is seen: towards the camera is +z, up in its
+    pictures +y."""
+    return LIGHT_RISE / 2 * ways[:, 1] + LIGHT_FALL * np.minimum(ways[:, 2], 0)
 
 
 def _taken(log_light: Tensor, own: Tensor, thrown: Tensor, bounce: Tensor) -> Tensor:

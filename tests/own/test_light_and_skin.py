@@ -17,7 +17,17 @@ from jghand_engine.avatar.storage import Storage
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.own import light_and_skin
 from jghand_engine.own.gather import Observations, counted, observe
-from jghand_engine.own.light_and_skin import Answer, LitFilm, Origin, film_light, seen_skin, skin_from
+from jghand_engine.own.light_and_skin import (
+    LIGHT_FALL,
+    LIGHT_RISE,
+    Answer,
+    LitFilm,
+    Origin,
+    film_light,
+    likely_light,
+    seen_skin,
+    skin_from,
+)
 from jghand_engine.own.skin_prior import SkinPrior, whole_skin
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings
@@ -81,6 +91,15 @@ def test_what_is_bent_counts_where_a_picture_shows_much_of_it():
     much, little = (counted(torch.tensor(0.2 * pixels)) for pixels in (20.0, 0.1))
     assert much > 0.85
     assert little < 0.05
+
+
+def test_light_that_no_skin_shows_is_as_likely_from_the_side_as_from_the_camera_and_less_from_behind():
+    camera, side, behind, above, below = likely_light(
+        np.array([[0, 0, 1], [1, 0, 0], [0, 0, -1], [0, 1, 0], [0, -1, 0]])
+    )
+    assert camera == side
+    assert side - behind == LIGHT_FALL
+    assert above - below == LIGHT_RISE
 
 
 def test_an_outline_that_shines_is_no_light_from_behind(seen):

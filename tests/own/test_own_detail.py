@@ -89,7 +89,7 @@ def test_pictures_that_lie_apart_are_laid_onto_one_another():
     apart = [
         np.median(np.linalg.norm(flow[inside] - shift, axis=-1)) for flow, shift in zip(flows, shifts, strict=True)
     ]
-    assert max(apart) < 0.6
+    assert max(apart) < 0.2
 
 
 def test_a_side_that_is_never_seen_has_no_detail(film):

@@ -1,7 +1,7 @@
 """The skin of a hand as flat Gaussians on the surface of its detail: files hold no texture, and a few hundred thousand
 of these hold what is seen of one close up.
 
-Each is a part of one face, the same in every pose. It is as wide as that part and as thin as files hold, and has the
+Each is a part of one face, the same in every pose. It is as wide as that part and very thin, and has the
 color that the avatar's Gaussians blend there, times the mean of the texture and what the relief makes of the light.
 Nothing lies beneath it.
 """
@@ -36,7 +36,7 @@ THICKNESS_M = 1e-5
 BELOW_M = 0.00025
 # what blur will take is added before: as much as the texture differs from its mean over parts that are longer by this
 WIDER = 2.5
-# halvings of a face into parts, two of each into four: places at which the texture is looked up for a mean of it
+# a part is parted in four this often, and the texture looked up in the middle of each, for a mean
 LOOKS_LOG4 = 2
 # surfels of a face that are looked at together, at most, and the Gaussians nearest to them, whose colors are blended:
 # with 8 Gaussians for each surfel colors are the same, and take twice as long
@@ -50,14 +50,14 @@ LAYERS = 5
 LIGHT_TERMS, LIGHT_FLOOR = 9, 0.3
 # albedos below count as this: what is black says nothing of light
 DARK = 1e-3
-# halvings of the largest face, at most: more than a machine has memory for
-HALVINGS_MAX = 24
+# more are finer than the texture; and halvings of the largest face, at most, which so many are never
+SURFELS_MAX, HALVINGS_MAX = 2_000_000, 24
 
 
 class Surfels:
     """avatar: of the hand that moves · count: how many there may be; some fewer are made
 
-    InputError for a hand whose surface is not its skin in all poses, and for fewer than that has faces.
+    InputError for a hand whose surface is not its skin in all poses, and for fewer than that has faces, or too many.
     """
 
     def __init__(self, avatar: HandAvatar, count: int) -> None:
@@ -71,8 +71,8 @@ class Surfels:
         # four for each, as close-ups have them: outlines show no corners
         self._fine = FineFaces.of(detail.faces, detail.face_uv, len(detail.position_m))
         faces = self._fine.faces
-        if count < len(faces):
-            wanted = f"at least {len(faces)}, one for each face of its surface"
+        if not len(faces) <= count <= SURFELS_MAX:
+            wanted = f"{len(faces)}, one for each face of its surface, to {SURFELS_MAX}"
             raise InputError(f"surfels of {avatar.info.name}", wanted=wanted, came=str(count))
         self._hand = DetailedHand.of(avatar, detail_power(avatar, in_scene=False))
         self._opacity = avatar.opacity.astype(np.float32)
@@ -100,7 +100,7 @@ class Surfels:
 
     def of_pose(self, bones: Bones, posed: PosedHand, rgb: np.ndarray) -> tuple[np.ndarray, ...]:
         """Places (S, 3) and sigmas (S, 3), meters; turns (S, 3, 3), whose columns are the ways of these sigmas; colors
-        (S, 3), display-referred. posed: the Gaussians in that pose · rgb: (N, 3) their colors"""
+        (S, 3), display-referred, some above 1. posed: the Gaussians in that pose · rgb: (N, 3) their colors"""
         corner_m = self._of_corners(self._hand.posed_m(bones) - bones.root_m)
         place_m = corner_m.mean(1)
         side_m, other_m = corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0]
@@ -126,7 +126,7 @@ class Surfels:
             slope = rise_m[:, :1] * np.cross(other_m, across_m2) - rise_m[:, 1:] * np.cross(side_m, across_m2)
             slope *= bones.scale / np.maximum(np.square(across_m2).sum(1, keepdims=True), np.finfo(np.float32).tiny)
             colors = colors * turned_light(blended, albedo, normal, unit(normal - slope))
-        return place_m - bones.scale * BELOW_M * normal + bones.root_m, sigmas_m, turn, colors.clip(0, 1)
+        return place_m - bones.scale * BELOW_M * normal + bones.root_m, sigmas_m, turn, colors
 
     def _of_corners(self, values: np.ndarray) -> np.ndarray:
         """(S, 3, C) at the corners of the parts, of values (V, C) at the vertices."""
