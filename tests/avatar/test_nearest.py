@@ -15,21 +15,6 @@ def test_the_nearest_centers_are_those_of_all_that_are_nearest(centers, count):
     found = nearest_centers(points_m, centers_m, count)
     squares_m2 = ((points_m[:, None] - centers_m) ** 2).sum(-1)
     np.testing.assert_array_equal(np.sort(found), np.sort(np.argsort(squares_m2)[:, :count]))
-"""Nearest centers, also of places that are none."""
-
-import numpy as np
-import pytest
-
-from jghand_engine.avatar.nearest import nearest_centers
-
-
-@pytest.mark.parametrize("columns", [3, 6])
-def test_nearest_centers_are_those_of_all_distances(columns):
-    random = np.random.default_rng(4)
-    points, centers = random.uniform(-0.05, 0.05, (700, columns)), random.uniform(-0.05, 0.05, (900, columns))
-    apart = np.linalg.norm(points[:, None] - centers, axis=-1)
-    found = nearest_centers(points, centers, 5)
-    np.testing.assert_array_equal(np.sort(found, 1), np.sort(apart.argsort(1)[:, :5], 1))
 
 
 def test_far_places_few_centers_and_none_are_answered():
