@@ -57,8 +57,10 @@ def with_maps(avatar: HandAvatar, person: Somebody) -> HandAvatar:
 
 
 def reaching_skin(avatar: HandAvatar) -> HandAvatar:
-    """The avatar, with a detail, whose Gaussians are so large that the skin has a color at its outline, too, in all
+    """The avatar, if it has a detail, with Gaussians so large that the skin has a color at its outline, too, in all
     named poses: a picture ends where it knows no color."""
+    if avatar.detail is None:
+        return avatar
     hand, posing, skeleton = DetailedHand.of(avatar, 1.0), Posing(avatar), avatar.skeleton()
     ends, sigma_m = directed_edges(avatar.detail.faces), avatar.sigma_m.astype(np.float64)
     for name in pose_names():
@@ -66,7 +68,7 @@ def reaching_skin(avatar: HandAvatar) -> HandAvatar:
         posed, skin_m = posing(joints_m), hand.posed_m(skeleton.bones(joints_m))
         place_m = np.concatenate([skin_m, skin_m[ends].mean(1)])
         grown = posed.sigma_m / avatar.sigma_m
-        apart_m, near = KDTree(posed.position_m).query(place_m, k=REACH_NEIGHBORS)
+        apart_m, near = map(np.asarray, KDTree(posed.position_m).query(place_m, k=REACH_NEIGHBORS))
         covers = avatar.opacity[near] * np.exp(-0.5 * (apart_m / (sigma_m * grown)[near]) ** 2)
         few = covers.sum(1) < REACH_ALPHA
         apart_m, near = apart_m[few, 0], near[few, 0]
