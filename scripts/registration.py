@@ -57,12 +57,10 @@ def with_maps(avatar: HandAvatar, person: Somebody) -> HandAvatar:
 
 
 def reaching_skin(avatar: HandAvatar) -> HandAvatar:
-    """The avatar, if it has a detail, with Gaussians so large that the skin has a color at its outline, too, in all
+    """The avatar, with a detail, whose Gaussians are so large that the skin has a color at its outline, too, in all
     named poses: a picture ends where it knows no color."""
-    if avatar.detail is None:
-        return avatar
     hand, posing, skeleton = DetailedHand.of(avatar, 1.0), Posing(avatar), avatar.skeleton()
-    ends, sigma_m = directed_edges(avatar.detail.faces), avatar.sigma_m.astype(np.float64)
+    ends, sigma_m = directed_edges(hand.detail.faces), avatar.sigma_m.astype(np.float64)
     for name in pose_names():
         joints_m = named_pose(name, avatar.rest_joints_m, handedness=Handedness.RIGHT, fist=avatar.fist)
         posed, skin_m = posing(joints_m), hand.posed_m(skeleton.bones(joints_m))

@@ -48,13 +48,18 @@ def ended(avatar: HandAvatar, *, forearm: bool = True) -> HandAvatar:
     detail = avatar.detail
     beyond_m = BEYOND_M if detail is not None and detail.ends_hand else 0.0
     parts = rising(avatar.position_m @ way - end_m + beyond_m, *fade_m)
-    opacity = avatar.opacity * (1 - (1 - parts) ** (1 / LAYERS)).astype(np.float32)
+    opacity = avatar.opacity * of_each_layer(parts, LAYERS).astype(np.float32)
     if detail is not None:
         # what is not there hides nothing behind it
         whole = rising(detail.position_m @ way - end_m, *fade_m).astype(np.float32)
         stays = (whole > 0)[detail.faces].any(1)
         detail = replace(detail, faces=detail.faces[stays], face_uv=detail.face_uv[stays], whole=whole)
     return replace(avatar, opacity=opacity, detail=detail)
+
+
+def of_each_layer(parts: np.ndarray, layers: int) -> np.ndarray:
+    """(N,) opacity of each of so many that lie over one another and have that of `parts` (N,) all together."""
+    return 1 - (1 - parts) ** (1 / layers)
 
 
 def capped(avatar: HandAvatar) -> HandAvatar:

@@ -62,6 +62,11 @@ class FineFaces:
             share,
         )
 
+    def with_middles(self, values: np.ndarray) -> np.ndarray:
+        """(V + S, ...) of values (V, ...) at the surface's own vertices, behind them those in the middles of sides."""
+        middles = np.einsum("sk,sk...->s...", self.share, values[self.around])
+        return np.concatenate([values, middles])
+
 
 def opposite_vertices(faces: np.ndarray) -> np.ndarray:
     """(F, 3) of faces (F, 3): the vertex across the side from each corner to the next; that corner where none is."""

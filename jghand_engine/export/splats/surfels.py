@@ -14,6 +14,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.cast_task import LIGHT_TO_DISPLAY, posed_joints_m
 from jghand_engine.avatar.detail import log_ratios
 from jghand_engine.avatar.detail_mips import filled
+from jghand_engine.avatar.forearm import of_each_layer
 from jghand_engine.avatar.nearest import nearest_centers
 from jghand_engine.avatar.posing import PosedHand
 from jghand_engine.avatar.relief import LIGHT_CHANGE_MAX, Bend, finger_shares
@@ -77,7 +78,7 @@ class Surfels:
         self._hand = DetailedHand.of(avatar, detail_power(avatar, in_scene=False))
         self._opacity = avatar.opacity.astype(np.float32)
         self._albedo = material_of(avatar).albedo
-        face, part = halved(self._with_middles(detail.position_m)[faces], count)
+        face, part = halved(self._fine.with_middles(detail.position_m)[faces], count)
         self._corner, self._part, coarse = faces[face], part.astype(np.float32), face // 4
         in_face = np.arange(len(face)) - np.searchsorted(coarse, coarse)
         self._group = np.cumsum(in_face % TOGETHER == 0) - 1
@@ -92,8 +93,8 @@ class Surfels:
             self._rise_m = np.stack([along @ rise[..., None] for rise in rises_m])[..., 0].astype(np.float32)
             self._bend = Bend(detail.position_m, finger_shares(detail.bone_weights), avatar.canonical_joints_m)
         # in double precision: next to 1 a root is steep
-        whole = (part * self._with_middles(detail.shown)[self._corner][:, None]).sum(-1).mean(1).clip(0, 1)
-        self.opacity = (1 - (1 - whole) ** (1 / LAYERS)).astype(np.float32)
+        whole = (part * self._fine.with_middles(detail.shown)[self._corner][:, None]).sum(-1).mean(1).clip(0, 1)
+        self.opacity = of_each_layer(whole, LAYERS).astype(np.float32)
 
     def __len__(self) -> int:
         return len(self._part)
@@ -130,12 +131,7 @@ class Surfels:
 
     def _of_corners(self, values: np.ndarray) -> np.ndarray:
         """(S, 3, C) at the corners of the parts, of values (V, C) at the vertices."""
-        return self._part @ self._with_middles(values)[self._corner].astype(np.float32)
-
-    def _with_middles(self, values: np.ndarray) -> np.ndarray:
-        """(V + sides, ...) of values (V, ...) at the vertices, behind them those in the middles of sides."""
-        middles = np.einsum("sk,sk...->s...", self._fine.share, values[self._fine.around])
-        return np.concatenate([values, middles])
+        return self._part @ self._fine.with_middles(values)[self._corner].astype(np.float32)
 
     def _blended(
         self, posed: PosedHand, root_m: np.ndarray, colors: np.ndarray, place_m: np.ndarray, normal: np.ndarray
