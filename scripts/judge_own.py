@@ -3,7 +3,7 @@
     python scripts/judge_own.py --films films                           every film in the folder that has its truth
     python scripts/judge_own.py --films films --photographs --exact     also five photographs, and joints that are known
     python scripts/judge_own.py --films films --built-in                also the built-in hand, in the film's light
-    python scripts/judge_own.py --films films --faults                  also what is told of films with a fault
+    python scripts/judge_own.py --films films --faults                  also films with a fault
     python scripts/judge_own.py --films films --page docs/OWN_HAND.md   puts the tables into the page
 
 Wants the extra `track` and its networks. Beside each film lies what was made of it, as own.jghand and so on; what is
@@ -54,14 +54,15 @@ from jghand_engine.track.video import open_video, read_frames
 PHOTOGRAPHED_S = (1.0, 7.8, 5.3, 2.9, 9.7)
 AVATAR = {"film": "own", "photographs": "photographs", "exact": "exact"}
 BUILT_IN, TINTED = "built-in", "built-in, tinted"
+REFUSED = "is refused"
 
 
 @dataclass(frozen=True)
 class Options:
     """films: folder of folders with film.mp4, truth.npz and capture/ · photographs: also five pictures of each film ·
     exact: also with joints and masks that are known · built_in: also what is won over
-    the built-in hand, see `built_in_hands` · faults: also what a look at the films without capture/ tells, before any
-    fit · page: gets the tables"""
+    the built-in hand, see `built_in_hands` · faults: also what a look at the films without capture/ tells before any
+    fit, and how good they are where they are used · page: gets the tables"""
 
     films: Path
     photographs: bool = False
@@ -138,7 +139,7 @@ def held_out(avatar: HandAvatar, folder: Path) -> Judged:
     with np.load(folder / "truth.npz") as stored:
         gain = float(np.median(stored["gain"]))
     draw, light, found = AvatarPicturer(avatar, preset("final")), SceneLight(World.of_cells(response.film_light)), []
-    for sample in split_capture(open_capture(folder / "capture"), to_learn=False).test:
+    for sample in split_capture(open_capture(capture_of(folder)), to_learn=False).test:
         truth, camera = load_image(sample), sample.camera
         side = wrist_side(camera.project(sample.joints_m)[0][None], camera.width, camera.height)[0]
         straight = truth.rgb / np.maximum(truth.mask, 1e-3)[..., None]
@@ -211,6 +212,12 @@ def made(folder: Path, name: str) -> tuple[float, float] | None:
     return time.perf_counter() - began[0], time.process_time() - began[1]
 
 
+def capture_of(folder: Path) -> Path:
+    """The folder that holds out pictures of a film; of a film with a fault that of the same hand without it."""
+    own = folder / "capture"
+    return own if own.is_dir() else folder.with_name(folder.name.partition("_")[0]) / "capture"
+
+
 def photographs(folder: Path) -> list[Path]:
     """Pictures of the film, as files."""
     with np.load(folder / "truth.npz") as stored:
@@ -249,8 +256,8 @@ def told_of(film: Path) -> tuple[str, str]:
             open_source([film]), prior, OwnOptions(), mediapipe_hands.video_detector, lambda *_: None
         ).findings
     except InputError as error:
-        return "is refused", str(error)
-    verdict = "is refused" if any(finding.refuses for finding in findings) else "is used"
+        return REFUSED, str(error)
+    verdict = REFUSED if any(finding.refuses for finding in findings) else "is used"
     return verdict, ", ".join(dict.fromkeys(finding.check for finding in findings))
 
 
@@ -263,12 +270,13 @@ def main(options: Options) -> None:
     mediapipe_hands.check_package()
     mediapipe_hands.model_file()
     for truth in sorted(options.films.glob("*/truth.npz")):
-        folder = truth.parent
-        if not (folder / "capture").is_dir():
-            if options.faults:
-                faults.append((folder.name, *told_of(folder / "film.mp4")))
-            continue
-        for kind in kinds:
+        folder, made_from = truth.parent, kinds
+        if capture_of(folder) != folder / "capture":
+            if not options.faults:
+                continue
+            faults.append((folder.name, *told_of(folder / "film.mp4")))
+            made_from = [] if faults[-1][1] == REFUSED else ["film"]
+        for kind in made_from:
             kept = folder / f"{AVATAR[kind]}.judged.json"
             if kind == "exact" and (folder.name, "film") not in rows:
                 continue
@@ -281,7 +289,7 @@ def main(options: Options) -> None:
                 seconds = json.loads(kept.read_text(encoding="utf-8"))["seconds"]
             rows[folder.name, kind] = judge(folder, AVATAR[kind], seconds)
             kept.write_text(json.dumps(asdict(rows[folder.name, kind]), indent=1) + "\n", encoding="utf-8")
-        if options.built_in and (folder.name, "film") in rows:
+        if options.built_in and made_from == kinds and (folder.name, "film") in rows:
             rows |= {(folder.name, kind): held_out(hand, folder) for kind, hand in built_in_hands(folder).items()}
     text = f"{held_out_table(rows)}\n\n{fit_table(rows)}"
     if refused:

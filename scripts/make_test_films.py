@@ -21,15 +21,18 @@ import io
 import itertools
 import json
 import math
+import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import tyro
 from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from jghand_engine.avatar.scene_light import World
 from jghand_engine.captures.capture_folder import FOREARM
 from jghand_engine.captures.making.cameras import PlannedCamera
 from jghand_engine.captures.making.closing import Closing
@@ -42,6 +45,7 @@ from jghand_engine.captures.skin.canvas import MM, Texels
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.splits import SPLITS_FILE, SPLITS_FORMAT
 from jghand_engine.color import linear_to_srgb, srgb_to_linear, to_bytes
+from jghand_engine.export.light_file import ENV_FROM_WORLD, read_world_picture
 from jghand_engine.export.video import write_video
 from jghand_engine.files import writing
 from jghand_engine.hand.orders import hand_length
@@ -87,6 +91,10 @@ _PALM = [0, 2, 3, 4, 5]
 # a film's camera: at the origin, along -z, y up
 _CAMERA_FROM_WORLD = np.diag([1.0, -1.0, -1.0])
 _WALL_SIZE = 1.25
+# the wall lights the hand: how far behind it it stands, and from its middle to its edges; the room goes on from there
+WALL_BEHIND_M, WALL_EDGE_M = 0.8, 2.0
+# what lights the hand from afar, a file of the plan
+ROOM = "light.hdr"
 # standard deviation of a telephone's lens and of the smoothing of its picture, pixels
 LENS_PX = 0.6
 
@@ -319,7 +327,8 @@ def make_plan(film: Film, options: Options, about: dict) -> CapturePlan:
     skin = PersonSkin.of(identity, film.person, LEVELS, options.texels)
     skin = with_marks(skin, identity, film, options.texels)
     sampling = dataclasses.asdict(Sampling(samples=options.samples, subdivisions=0))
-    told = {"sampling": sampling, "light": dataclasses.asdict(film.light), "skin": skin.material, FOREARM: True}
+    light = {**dataclasses.asdict(film.light), "hdri": ROOM}
+    told = {"sampling": sampling, "light": light, "skin": skin.material, FOREARM: True}
     still = np.eye(4)
     still[:3, :3] = _CAMERA_FROM_WORLD
     camera = Camera(width, height, focal, focal, width / 2, height / 2, still)
@@ -331,11 +340,12 @@ def make_plan(film: Film, options: Options, about: dict) -> CapturePlan:
         focal_px = size[1] * away / (VIEW_PART * length_m)
         seen = Camera.looking_at(target + away * out, target, up, width=size[0], height=size[1], focal_px=focal_px)
         cameras.append(PlannedCamera(seen, len(times) + number))
+    files = {**skin.files, ROOM: lit_by(film, focal, middle, (width, height))}
     names = (*(f"film {time:.3f} s" for time in times), *(f"held out {name}" for name, *_ in HELD_OUT))
     # what was told is compared with what is read again
     return CapturePlan(
         about, json.loads(json.dumps(told)), names, pose.joints_m, hand.skin(pose).astype(np.float32),
-        skin.surface.faces, skin.surface.face_uv.astype(np.float32), tuple(cameras), skin.files, skin,
+        skin.surface.faces, skin.surface.face_uv.astype(np.float32), tuple(cameras), files, skin,
         hand.forearm(pose),
     )  # fmt: skip
 
@@ -413,6 +423,37 @@ def wall(film: Film, size: tuple[int, int]) -> np.ndarray:
     box(0.32, 0.36, 0.3, 0.012, (70, 55, 45))
     sharp = srgb_to_linear(np.asarray(picture, np.float64) / 255)
     return gaussian_filter(sharp, (0.003 * height, 0.003 * height, 0))
+
+
+def lit_by(film: Film, focal_px: float, middle_m: np.ndarray, size: tuple[int, int]) -> bytes:
+    """A file of what lights the hand from afar: the film's environment with its wall in it."""
+    turn = vector_rotation(np.array([0, 0, math.radians(film.light.hdri_turn_deg)]))
+    around = World(read_world_picture(shipped_environment(film.light.hdri)), turn @ ENV_FROM_WORLD)
+    # the capture makes all of it as strong as the environment
+    radiance = room(around, wall(film, size) / film.light.hdri_strength, focal_px, middle_m)
+    done, file = cv2.imencode(Path(ROOM).suffix, radiance[..., ::-1].astype(np.float32))
+    assert done
+    return file.tobytes()
+
+
+def room(around: World, shown: np.ndarray, focal_px: float, middle_m: np.ndarray) -> np.ndarray:
+    """(H, W, 3) of an environment, a wall in it as the hand at middle_m (3,) sees it. shown: (h, w, 3) as the camera at
+    the origin sees it; farther out it is like its edges"""
+    direction, _ = around.samples
+    far_m = WALL_BEHIND_M / np.maximum(-direction[..., 2], 1e-6)
+    point = middle_m + far_m[..., None] * direction
+    across, down = (focal_px * point[..., axis] / point[..., 2] for axis in (0, 1))
+    at = [shown.shape[0] / 2 - 0.5 + down, shown.shape[1] / 2 - 0.5 - across]
+    seen = np.stack([map_coordinates(shown[..., k], at, order=1, mode="nearest") for k in range(3)], -1)
+    is_wall = (np.abs(point[..., :2]) < WALL_EDGE_M).all(-1) & (direction[..., 2] < 0)
+    return np.where(is_wall[..., None], seen, around.radiance)
+
+
+def shipped_environment(name: str) -> Path:
+    """The file of an environment that comes with Blender."""
+    code = "import bpy; print(bpy.utils.resource_path('LOCAL'))"
+    told = subprocess.run([find_blender_python(), "-c", code], check=True, capture_output=True, text=True).stdout
+    return Path(told.split()[-1]) / "datafiles" / "studiolights" / "world" / f"{name}.exr"
 
 
 def _smooth_noise(shape: tuple[int, int], cell: float, random: np.random.Generator) -> np.ndarray:

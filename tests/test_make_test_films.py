@@ -4,7 +4,9 @@ import make_test_films as films
 import numpy as np
 import pytest
 
+from jghand_engine.avatar.scene_light import World
 from jghand_engine.captures.making.rig import RIG_JOINTS, RiggedHand, load_identity
+from jghand_engine.export.light_file import ENV_FROM_WORLD
 from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.hand.rotations import vector_rotation
 
@@ -78,6 +80,19 @@ def test_the_truth_stays_on_the_picture_while_the_camera_turns(shown):
         there = films._pixels(joints, turned)[1, 0]
         assert middle_px(films.seen(turned, 1)[1]) == pytest.approx(there, abs=0.6)
     assert np.linalg.norm(there - films._pixels(shown.joints_m, shown)[1, 0]) > 5
+
+
+def test_the_wall_lights_the_hand_from_where_the_camera_sees_it():
+    around, middle_m = World(np.full((64, 128, 3), 9.0), ENV_FROM_WORLD), np.array([0.02, -0.05, -0.4])
+    wall = np.random.default_rng(0).random((8, 6, 3)).repeat(10, 0).repeat(10, 1)
+    seen = films.room(around, wall, FOCAL_PX, middle_m)
+    direction, _ = around.samples
+    for row, column in ((5, 5), (25, 45), (75, 15)):
+        ray = np.array([(column - 30) / FOCAL_PX, (40 - row) / FOCAL_PX, -1])
+        way = ray * (0.4 + films.WALL_BEHIND_M) - middle_m
+        place = np.unravel_index((direction @ way).argmax(), direction.shape[:2])
+        np.testing.assert_allclose(seen[place], wall[row, column])
+    assert (seen[direction[..., 2] > -0.2] == 9).all()
 
 
 def test_each_fault_is_what_it_is_called(shown):

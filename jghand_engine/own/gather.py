@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from scipy.ndimage import binary_erosion
+from scipy.ndimage import binary_erosion, distance_transform_edt
 from torch import Tensor
 
 from jghand_engine.avatar.avatar import HandAvatar
@@ -29,13 +29,15 @@ from jghand_engine.learn.skeleton import BoneTransforms, JointTransform
 from jghand_engine.learn.skinning import pose_skin, skin_maps
 from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.own.film import BURNT_U8
-from jghand_engine.own.masks import wrist_side
+from jghand_engine.own.masks import hand_size_px, wrist_side
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.track.track import MOTION_FROM_CAMERA
 
 # pixels of the outline that are mixed with what is behind it
 EDGE_PX = 2
+# what is farther from the hand than this, of its size, is surely behind it
+BESIDE_PART = 0.05
 # what is shown around the joints, of the hand's length in the picture
 CROP_MARGIN = 0.25
 # a Gaussian that colors less of a picture than this many pixels is not seen in it; from how many on it counts half
@@ -121,12 +123,14 @@ class Observations:
     color:  (F, N, 3) mean linear color of the pixels that a Gaussian has
     seen:   (F, N) how many pixels, times how squarely it faces the camera, squared; 0: not seen
     trust:  (F, N) 0..1, less for what is bent
+    behind: (3,) mean linear color of what is behind the hand
     """
 
     shown: tuple[Shown, ...]
     color: Tensor
     seen: Tensor
     trust: Tensor
+    behind: Tensor
 
     def __len__(self) -> int:
         return len(self.shown)
@@ -145,7 +149,19 @@ def observe(
         mean, pixels = one.given_back(black, opacity)
         color.append(mean)
         seen.append(torch.where(pixels > SEEN_MIN_PX, pixels * one.facing.square(), 0))
-    return Observations(shown, torch.stack(color), torch.stack(seen), trust)
+    return Observations(shown, torch.stack(color), torch.stack(seen), trust, _behind(joints_m, camera, pictures, masks))
+
+
+def _behind(joints_m: np.ndarray, camera: Camera, pictures: np.ndarray, masks: np.ndarray) -> Tensor:
+    """(3,) of `Observations`: the forearm is on the other side of the wrist."""
+    joints_px, _ = camera.project(joints_m)
+    summed, count = np.zeros(3), 0
+    for mask, side, size_px, picture in zip(
+        masks, wrist_side(joints_px, camera.width, camera.height), hand_size_px(joints_px), pictures, strict=True
+    ):
+        away = side & (distance_transform_edt(~mask) > BESIDE_PART * size_px)
+        summed, count = summed + srgb_to_linear(picture[away] / 255).sum(0), count + int(away.sum())
+    return torch.from_numpy(summed / max(count, 1)).float()
 
 
 def trusted(joints_m: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ from jghand_engine.avatar.avatar import HandAvatar, LearnedFrom
 from jghand_engine.avatar.cast_task import FLESH_SOFTNESS, LAMP_HALF_WIDTH
 from jghand_engine.avatar.learned import lamp_directions
 from jghand_engine.avatar.relighting import thrown_back
-from jghand_engine.avatar.scene_light import CELLS, SceneLight, World
+from jghand_engine.avatar.scene_light import CELL_ROWS, CELLS, SceneLight, World
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.cast_shadow import CastTensors
 from jghand_engine.learn.scene_light import (
@@ -58,6 +58,10 @@ LIGHT_SPREAD, LIGHT_SHARPNESS, HUE_SPREAD = 1.4, 5.0, 0.25
 # from the sides than from straight behind the hand, as people are told to film: no skin that a film shows faces there.
 # With this, films of a man and a woman and photographs of them are nearest to the truth, together
 LIGHT_RISE, LIGHT_FALL = 2.0, 1.25
+# what is behind the hand in the pictures lights it from there, from within so many degrees, though no skin that a film
+# shows faces it. How bright that is beside the light that the skin gets, the skin's own brightness tells, which sends
+# back so large a part of its light; spreads of the logarithms of all of it, and of each direction
+BEHIND_DEG, SKIN_ALBEDO, BEHIND_SPREAD, BEHIND_NOISE = 55.0, 0.33, 0.7, 0.3
 # skin that turns away from the camera is brighter than the model of known light has it, as a logarithm for a cosine of
 # 0: 0.17 to 0.22, 0.26 to 0.34 and 0.31 to 0.37 in two rendered films whose light is known, of dark and of light skin,
 # less a fifth since the model's gloss rises as much towards grazing light as theirs. Without it that would be taken for
@@ -69,6 +73,8 @@ FACING, SQUARE = 0.5, 0.8
 # what a picture says of a Gaussian's logarithm beyond this is hardly believed; each counts as so much of one that has
 # nothing to do with the others, for normals and poses that are a little off are off in all of them
 LOG_NOISE, INDEPENDENT = 0.15, 0.05
+# precision of the logarithm of what a white card sends back: as good as known
+CARD_BELIEF = 1e5
 # of albedos: the same, and where two pictures disagree
 ALBEDO_NOISE, ALBEDO_ROUNDS, DISAGREE = 0.12, 3, 0.12
 # Gaussians around one, itself included, that agree on which pictures they believe: one by one they would be freckled
@@ -190,17 +196,17 @@ def film_light(film: LitFilm) -> tuple[World, list[Answer]]:
     ways, gloss = lamp_directions(CELLS), torch.zeros_like(color)
     precision = _precision(ways)
     likely = torch.from_numpy(likely_light(ways)).float()[:, None].expand(CELLS, 3)
+    wall, belief = _of_wall(film.observed.behind, ways)
     log_light, world, answers = likely, World.of_cells(likely.exp().double().numpy()), []
     for _ in range(LIGHT_ROUNDS):
-        target = (color - gloss).clamp_min(LEAST).log() - beyond - limb
+        skin = (color - gloss).clamp_min(LEAST).log()
+        target, exposure = skin - beyond - limb, (weight[..., None] * skin).sum() / (3 * weight.sum())
+        seen = wall - exposure + np.log(SKIN_ALBEDO)
         for _ in range(LIGHT_STEPS):
-            held = -precision @ (log_light - likely).T.reshape(-1).double()
+            held = precision @ _by_channel(likely - log_light) + belief @ _by_channel(seen - log_light)
             found = _normal_equations(log_light, target, weight, (own, thrown, film.response.bounce))
-            step = torch.linalg.solve(precision + found[0], held + found[1]).reshape(3, CELLS).T.float()
+            step = torch.linalg.solve(precision + belief + found[0], held + found[1]).reshape(3, CELLS).T.float()
             log_light = log_light + step * (STEP_MAX / step.abs().max().clamp_min(STEP_MAX))
-        # a white card is white on average
-        card = _taken(log_light, own, thrown, film.response.bounce)
-        log_light = log_light - (weight[..., None] * card).sum((0, 1)) / weight.sum()
         world = World.of_cells(log_light.exp().double().numpy())
         answers = film.answers(world)
         gloss = torch.stack([answer.gloss[:count] for answer in answers])
@@ -213,6 +219,22 @@ def likely_light(ways: np.ndarray) -> np.ndarray:
     """(L,) logarithms of the light from directions (L, 3), before anything is seen: towards the camera is +z, up in its
     pictures +y."""
     return LIGHT_RISE / 2 * ways[:, 1] + LIGHT_FALL * np.minimum(ways[:, 2], 0)
+
+
+def _of_wall(behind: Tensor, ways: np.ndarray) -> tuple[Tensor, Tensor]:
+    """Logarithm (CELLS, 3) of the light from directions (CELLS, 3) where all is as bright as what is behind the hand,
+    (3,), and the precision with which that is known, (3 CELLS, 3 CELLS), channel by channel."""
+    solid_angle = torch.from_numpy(World(np.ones((CELL_ROWS, 2 * CELL_ROWS, 3))).terms.light).float()
+    wall = np.tile(ways[:, 2] < -np.cos(np.radians(BEHIND_DEG)), 3)
+    count, precision = wall.sum(), np.zeros((3 * CELLS, 3 * CELLS))
+    spread = BEHIND_SPREAD**2 * np.ones((count, count)) + BEHIND_NOISE**2 * np.eye(count)
+    precision[np.ix_(wall, wall)] = np.linalg.inv(spread)
+    return (behind.clamp_min(LEAST) * solid_angle).log(), torch.from_numpy(precision)
+
+
+def _by_channel(values: Tensor) -> Tensor:
+    """(3 CELLS,) double, of (CELLS, 3)."""
+    return values.T.reshape(-1).double()
 
 
 def _taken(log_light: Tensor, own: Tensor, thrown: Tensor, bounce: Tensor) -> Tensor:
@@ -233,8 +255,14 @@ def _normal_equations(
     for channel in range(3):
         part = (own + bounce[channel] * thrown) * log_light[:, channel].exp()
         got = part.sum(-1, keepdim=True).clamp_min(1e-6)
-        slope, rest = part / got, target[..., channel] - (got[..., 0] / np.pi).log()
-        believed = weight
+        slope, card = part / got, (got[..., 0] / np.pi).log()
+        here = slice(channel * CELLS, (channel + 1) * CELLS)
+        # a white card is white on average
+        moves, level = (weight[..., None] * slope).sum((0, 1)).double(), (weight * card).sum().double()
+        moves, level = moves / weight.sum(), level / weight.sum()
+        matrix[here, here] += CARD_BELIEF * torch.outer(moves, moves)
+        right[here] -= CARD_BELIEF * level * moves
+        rest, believed = target[..., channel] - card, weight
         for _ in range(2):
             whole = believed.sum(0).clamp_min(1e-6)
             left = rest - (believed * rest).sum(0) / whole
@@ -244,7 +272,7 @@ def _normal_equations(
         left = rest - (believed * rest).sum(0) / whole
         slope = slope - (believed[..., None] * slope).sum(0) / whole[:, None]
         rows = (slope * believed.sqrt()[..., None]).reshape(-1, CELLS)
-        much, here = INDEPENDENT / LOG_NOISE**2, slice(channel * CELLS, (channel + 1) * CELLS)
+        much = INDEPENDENT / LOG_NOISE**2
         matrix[here, here] += much * (rows.T @ rows).double()
         right[here] += much * (rows.T @ (left * believed.sqrt()).reshape(-1)).double()
     return matrix, right

@@ -27,6 +27,8 @@ from jghand_engine.track.track import MOTION_FROM_CAMERA
 POSES = ("open", "relaxed", "open", "point", "open", "spread", "relaxed", "open")
 WAY_M = 0.42
 TONE = (0.52, 0.33, 0.27)
+# a wall of another color than the skin, linear: about as bright as what lights the hand from behind
+WALL_RGB = (0.19, 0.27, 0.24)
 
 
 def plain_hand(count: int = 2500) -> HandAvatar:
@@ -71,8 +73,7 @@ def film_of(avatar: HandAvatar, world: World | None, size: tuple[int, int] = (96
         frame = renderer.render([placed], view)
         rgba = frame.rgba
         shown = rgba[..., :3] if world is None else linear_to_srgb(np.clip(rgba[..., :3], 0, 1))
-        # a wall of another color behind the hand
-        pictures.append(to_bytes(shown + (1 - rgba[..., 3:]) * np.array([0.2, 0.35, 0.3])))
+        pictures.append(to_bytes(shown + (1 - rgba[..., 3:]) * linear_to_srgb(np.array(WALL_RGB))))
         masks.append(rgba[..., 3] > 0.5)
         joints.append(placed * MOTION_FROM_CAMERA)
     return FilmView(np.array(joints), camera, np.stack(pictures), np.stack(masks))

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from drawn_film import film_of, plain_hand
+from drawn_film import WALL_RGB, film_of, plain_hand
+from scipy.ndimage import binary_erosion
 
 from jghand_engine.avatar.learned import no_light
 from jghand_engine.own.gather import observe, trusted
@@ -60,6 +61,13 @@ def test_a_forearm_of_any_color_changes_no_number(flat):
     found, other = seen_by(hand, film, with_forearm), seen_by(hand, replace(film, pictures=painted), with_forearm)
     assert (found.color == other.color).all()
     assert (found.seen == other.seen).all()
+    assert (found.behind == other.behind).all()
+
+
+def test_what_is_behind_the_hand_is_the_wall_though_the_mask_is_a_little_too_small(flat):
+    hand, film = flat
+    small = binary_erosion(film.masks, iterations=1, structure=np.ones((1, 3, 3)))
+    np.testing.assert_allclose(seen_by(hand, film, small).behind, WALL_RGB, rtol=0.02)
 
 
 def test_a_bent_finger_counts_less_than_a_straight_one(flat):

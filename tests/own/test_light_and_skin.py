@@ -102,6 +102,23 @@ def test_light_that_no_skin_shows_is_as_likely_from_the_side_as_from_the_camera_
     assert above - below == LIGHT_RISE
 
 
+def test_a_wall_lights_the_hand_from_behind_as_bright_as_the_film_shows_it(seen):
+    _, _, found, _, lit = seen
+
+    def from_behind(world: World) -> float:
+        """For the light from the camera's side."""
+        return falling(world, np.array([[0.0, 0, -1]])).mean() / falling(world, np.array([[0.0, 0, 1]])).mean()
+
+    usual = from_behind(found.world)
+    assert 0.7 < usual / from_behind(window_world()) < 1.4, "seen: 0.75: little light is likely beside the wall"
+    brighter, _ = film_light(showing(lit, replace(lit.observed, behind=4 * lit.observed.behind)))
+    assert 1.5 < from_behind(brighter) / usual < 4
+    exposed, _ = film_light(
+        showing(lit, replace(lit.observed, behind=4 * lit.observed.behind, color=4 * lit.observed.color))
+    )
+    assert from_behind(exposed) == pytest.approx(usual, rel=0.1)
+
+
 def test_an_outline_that_shines_is_no_light_from_behind(seen):
     hand, _, found, film, lit = seen
     rim = film.masks & np.stack([np.logical_not(binary_erosion(mask, iterations=4)) for mask in film.masks])
