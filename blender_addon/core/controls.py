@@ -10,14 +10,12 @@ already counts. Sources: METHOD 4.1 and DATA 8 for the ranges; BLENDER 6 for the
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from .joints import FINGERS, NAMES, RIGHT, WRIST
 
-# flexion of the three bones at a full curl, degrees from straight: those of the engine's pose "fist"; thumb, fingers
-CURL_DEG = ((16.0, 44.0, 44.0), (86.0, 107.0, 66.0))
 # turn of a control that means a full curl, how far it goes the other way, and the turn that means a full spread
 CURL_FULL_DEG, CURL_BACK_DEG, SPREAD_FULL_DEG = 90.0, 20.0, 25.0
 # what a full splay spreads of each finger, thumb first: the engine's pose "spread", the little finger counts one
@@ -44,24 +42,14 @@ HAND_CONTROL = "control_hand"
 FINGER_CONTROLS = tuple(f"control_{finger}" for finger in FINGERS)
 TIP_CONTROLS = tuple(f"tip_{finger}" for finger in FINGERS)
 CONTROLS = (HAND_CONTROL, *FINGER_CONTROLS, *TIP_CONTROLS)
-# names of the constraints on the 21 bones, in the order in which they act; what has such a name is ours
-FIST, CURL, LIMIT, TIP = RULES = ("JGHand Fist", "JGHand Curl", "JGHand Limit", "JGHand Tip")
+# names of the constraints on the 21 bones, in the order in which they act, what a control turns and how far knuckles go
+# with that; what has such a name is ours
+OF_HAND = SPLAY, FIST, FIST_PALM = "JGHand Splay", "JGHand Fist", "JGHand Fist Palm"
+OF_FINGER = SPREAD, CURL, CURL_PALM = "JGHand Spread", "JGHand Curl", "JGHand Curl Palm"
+LIMIT, TIP = "JGHand Limit", "JGHand Tip"
+RULES = (*OF_HAND, *OF_FINGER, LIMIT, TIP)
 
 _BACKWARDS = np.diag([1.0, -1.0, -1.0])
-
-
-@dataclass(frozen=True)
-class Move:
-    """What full turns of a control do to one bone, about the bone's own axes, radians.
-
-    flexion: at CURL_FULL_DEG of the control's x; a bone that `goes_back` follows the control the other way too, as far
-    as that goes · spread: at SPREAD_FULL_DEG of its z, the same the other way with the other sign.
-    """
-
-    bone: str
-    flexion: float
-    goes_back: bool
-    spread: float
 
 
 @dataclass(frozen=True)
@@ -102,22 +90,6 @@ def spread_sign(finger: int, handedness: str) -> float:
     """The sign of the turn about a finger bone's z axis that leads away from the middle finger."""
     to_thumb = finger <= FINGERS.index("middle")
     return -1.0 if to_thumb == (handedness == RIGHT) else 1.0
-
-
-def finger_moves(rest: np.ndarray, finger: int, handedness: str) -> tuple[Move, ...]:
-    """What the control of a finger does to its three bones. rest: (21, 4, 4)."""
-    full = np.radians(CURL_DEG[0 if finger == 0 else 1]) - rest_flexions(rest)[finger]
-    spread = spread_sign(finger, handedness) * np.radians(SPREAD_FULL_DEG)
-    return tuple(
-        Move(bone, float(full[level]), level == 0, float(spread) if level == 0 else 0.0)
-        for level, bone in enumerate(moving_bones(finger))
-    )
-
-
-def hand_moves(rest: np.ndarray, finger: int, handedness: str) -> tuple[Move, ...]:
-    """What the control of the hand does to the three bones of a finger."""
-    part = SPLAY_PARTS[finger]
-    return tuple(replace(move, spread=part * move.spread) for move in finger_moves(rest, finger, handedness))
 
 
 def joint_ranges(rest: np.ndarray, handedness: str) -> tuple[JointRange, ...]:

@@ -17,28 +17,33 @@ from typing import Any
 
 import bpy
 import numpy as np
-from mathutils import Vector
+from mathutils import Quaternion, Vector
 
-from ..core import controls
+from ..core import controls, kinematics, poses
 from ..core.controls import (
     CONTROLS,
-    CURL,
     FINGER_CONTROLS,
-    FIST,
     HAND_CONTROL,
     LIMIT,
+    OF_FINGER,
+    OF_HAND,
     RULES,
     TIP,
     TIP_CONTROLS,
     JointRange,
-    Move,
 )
 from ..core.joints import FINGERS, NAMES, WRIST
+from ..core.poses import PosedFingers
 from ..errors import JGHandFailure
 from . import armature, motion
 
 # turns of the solver for a tip that is held somewhere; Blender's own number, enough for three bones
 IK_ITERATIONS = 500
+# of bones about themselves and of hinges sideways, up to Blender's 0.99: a finger bends rather than
+SOLVER_STIFFNESS = 0.9
+# how much farther sideways than its joint limit a hinge goes: the solver takes limits for the axes of an ellipse, on
+# which a finger that is bent to its end would be straight
+SOLVER_PLAY = 2.5
 # length of the controls' bones, which show shapes instead, meters
 CONTROL_BONE_M = 0.005
 # how large the shapes of the controls are drawn, meters: radius of a ring around a finger, of a ball at a tip; half the
@@ -61,10 +66,12 @@ def has_controls(hand: bpy.types.Object) -> bool:
     return hand.type == "ARMATURE" and all(name in hand.data.bones for name in CONTROLS)
 
 
-def add_controls(context: bpy.types.Context, hand: bpy.types.Object) -> None:
+def add_controls(
+    context: bpy.types.Context, hand: bpy.types.Object, fist: kinematics.Fist = kinematics.NO_FIST
+) -> None:
     """Gives our armature the control layer; one that is there is made anew and keeps its values.
 
-    Joint limits are on, no tip is held. Raises JGHandFailure: not_a_hand, not_editable.
+    Joint limits are on, no tip is held. fist: of its avatar. Raises JGHandFailure: not_a_hand, not_editable.
     """
     handedness = armature.handedness_of(hand)
     rest = armature.rest_matrices_of(hand)
@@ -76,7 +83,7 @@ def add_controls(context: bpy.types.Context, hand: bpy.types.Object) -> None:
         _make_bones(hand.data, controls.control_matrices(rest, handedness), unit_m)
     _collect_bones(hand.data)
     _dress_controls(hand, rest, unit_m)
-    _make_rules(hand, rest, handedness)
+    _make_rules(hand, rest, poses.pose_on("fist", rest, handedness, fist))
 
 
 def remove_controls(context: bpy.types.Context, hand: bpy.types.Object) -> None:
@@ -308,44 +315,62 @@ def _keep_in_range(bone: bpy.types.PoseBone) -> None:
     _limit(bone, RANGE, (-back, full), (0.0, 0.0), (-spread, spread)).use_transform_limit = True
 
 
-def _make_rules(hand: bpy.types.Object, rest: np.ndarray, handedness: str) -> None:
-    ranges = {span.bone: span for span in controls.joint_ranges(rest, handedness)}
+def _make_rules(hand: bpy.types.Object, rest: np.ndarray, fist: PosedFingers) -> None:
+    """fist: a full curl of all fingers."""
+    ranges = {span.bone: span for span in controls.joint_ranges(rest, fist.handedness)}
     for finger, control in enumerate(FINGER_CONTROLS):
-        fist = controls.hand_moves(rest, finger, handedness)
-        curl = controls.finger_moves(rest, finger, handedness)
-        for of_hand, of_finger in zip(fist, curl, strict=True):
-            bone = hand.pose.bones[of_hand.bone]
-            _follow(hand, bone, FIST, HAND_CONTROL, of_hand)
-            _follow(hand, bone, CURL, control, of_finger)
-            span = ranges[bone.name]
+        spread = controls.spread_sign(finger, fist.handedness) * np.radians(controls.SPREAD_FULL_DEG)
+        leaders = ((HAND_CONTROL, controls.SPLAY_PARTS[finger] * spread, OF_HAND), (control, spread, OF_FINGER))
+        first, *_, last = controls.moving_bones(finger)
+        for name in controls.moving_bones(finger):
+            bone, turn = hand.pose.bones[name], Quaternion(fist.turns[name]).to_euler("XYZ")
+            for leader, spread_to, (of_spread, of_curl, of_palm) in leaders:
+                if name == first:
+                    _follow(hand, bone, of_spread, leader, "Z", turn=(0.0, 0.0, spread_to))
+                _follow(hand, bone, of_curl, leader, "X", turn=turn, goes_back=name == first)
+                if name in fist.knuckles:
+                    size = float(np.linalg.norm(rest[NAMES.index(name), :3, 3] - rest[WRIST, :3, 3]))
+                    _follow(hand, bone, of_palm, leader, "X", way=size * np.array(fist.knuckles[name]))
+            span = ranges[name]
             _limit(bone, LIMIT, span.x, span.y, span.z)
             _set_solver_range(bone, span)
-        last = hand.pose.bones[controls.moving_bones(finger)[-1]]
-        rule = last.constraints.new("IK")
+        rule = hand.pose.bones[last].constraints.new("IK")
         rule.name, rule.target, rule.subtarget = TIP, hand, TIP_CONTROLS[finger]
         rule.chain_count, rule.iterations, rule.use_stretch = 3, IK_ITERATIONS, False
         rule.influence = 0.0
 
 
-def _follow(hand: bpy.types.Object, bone: bpy.types.PoseBone, name: str, control: str, move: Move) -> None:
-    """Turns about x of a control become flexion, turns about z spread, after the bone's own rotation.
+def _follow(
+    hand: bpy.types.Object,
+    bone: bpy.types.PoseBone,
+    name: str,
+    control: str,
+    axis: str,
+    *,
+    turn: Sequence[float] | None = None,
+    way: Sequence[float] = (0.0, 0.0, 0.0),
+    goes_back: bool = False,
+) -> None:
+    """Where a control turns about its axis ("X", curl, or "Z", spread) a bone turns, after its own rotation, or moves.
 
-    The map is one line through zero; where a bone does not go back with the control, it begins at zero.
+    turn, way: (3,) Euler angles, or way from rest, at the control's full turn; the map is one line through zero. A
+    spread goes both ways, a curl back where the bone `goes_back`; else the map begins at zero.
     """
-    full, spread = np.radians(controls.CURL_FULL_DEG), np.radians(controls.SPREAD_FULL_DEG)
+    back, full, spread = np.radians((controls.CURL_BACK_DEG, controls.CURL_FULL_DEG, controls.SPREAD_FULL_DEG))
+    low, high = (-spread, spread) if axis == "Z" else (-back if goes_back else 0.0, full)
     rule = bone.constraints.new("TRANSFORM")
     rule.name, rule.target, rule.subtarget = name, hand, control
     rule.owner_space = rule.target_space = "LOCAL"
-    rule.map_from = rule.map_to = "ROTATION"
+    rule.map_from, rule.map_to = "ROTATION", "LOCATION" if turn is None else "ROTATION"
     rule.from_rotation_mode = rule.to_euler_order = "XYZ"
     rule.mix_mode_rot = "AFTER"
-    rule.map_to_x_from, rule.map_to_y_from, rule.map_to_z_from = "X", "Y", "Z"
-    slope = move.flexion / full
-    rule.from_min_x_rot = -np.radians(controls.CURL_BACK_DEG) if move.goes_back else 0.0
-    rule.from_max_x_rot = full
-    rule.to_min_x_rot, rule.to_max_x_rot = slope * rule.from_min_x_rot, move.flexion
-    rule.from_min_z_rot, rule.from_max_z_rot = -spread, spread
-    rule.to_min_z_rot, rule.to_max_z_rot = -move.spread, move.spread
+    rule.map_to_x_from = rule.map_to_y_from = rule.map_to_z_from = axis
+    setattr(rule, f"from_min_{axis.lower()}_rot", low)
+    setattr(rule, f"from_max_{axis.lower()}_rot", high)
+    ending = "" if turn is None else "_rot"
+    for to, most in zip("xyz", way if turn is None else turn, strict=True):
+        setattr(rule, f"to_min_{to}{ending}", most * low / high)
+        setattr(rule, f"to_max_{to}{ending}", most)
 
 
 def _limit(bone: bpy.types.PoseBone, name: str, *spans: tuple[float, float]) -> Any:
@@ -358,14 +383,17 @@ def _limit(bone: bpy.types.PoseBone, name: str, *spans: tuple[float, float]) -> 
 
 
 def _set_solver_range(bone: bpy.types.PoseBone, span: JointRange | None) -> None:
-    """The same limits for inverse kinematics; None: as Blender makes a bone."""
+    """The limits for inverse kinematics; None: as Blender makes a bone. No axis is locked: the solver would begin
+    without the turn about it that a pose or a curl has, and a finger that is held would jump."""
+    is_hinge = span is not None and span.hinge
     spans = (span.x, span.y, span.z) if span is not None else ((-np.pi, np.pi),) * 3
-    bone.lock_ik_y = span is not None
-    bone.lock_ik_z = span is not None and span.hinge
+    bone.ik_stiffness_y = 0.0 if span is None else SOLVER_STIFFNESS
+    bone.ik_stiffness_z = SOLVER_STIFFNESS if is_hinge else 0.0
     for axis, (low, high) in zip("xyz", spans, strict=True):
+        play = SOLVER_PLAY if is_hinge and axis == "z" else 1.0
         setattr(bone, f"use_ik_limit_{axis}", span is not None)
-        setattr(bone, f"ik_min_{axis}", low)
-        setattr(bone, f"ik_max_{axis}", high)
+        setattr(bone, f"ik_min_{axis}", play * low)
+        setattr(bone, f"ik_max_{axis}", play * high)
 
 
 # Blender's bone color sets

@@ -83,7 +83,7 @@ class AddHand(Reporting, bpy.types.Operator):
         # upright, its palm to the front view: so do the hands stand whose pictures an avatar's light was learned from
         hand.rotation_euler = (math.pi / 2, 0.0, 0.0)
         if self.use_controls:
-            controls.add_controls(context, hand)
+            controls.add_controls(context, hand, avatar_files.fist_of(avatar))
         versions.select_bones(hand)
         common.make_active(context, hand)
         scene_light.follow(context.scene, [hand])

@@ -10,6 +10,7 @@ import bpy
 from .. import ops as common
 from .. import versions
 from ..core import poses
+from ..core.view import SHIPPED_AVATARS
 from ..ops import REGISTERED, InTurns, Reporting, missing, poll_bones, poll_controls, poll_hand, poll_hands
 from . import armature, avatar_files, controls
 from . import poses as hand_poses
@@ -155,6 +156,8 @@ class ShowPoseShelf(Reporting, bpy.types.Operator):
         if context.mode != "POSE":
             bpy.ops.object.mode_set(mode="POSE")
         hand_poses.show_shelf()
+        if avatar_of(context.object) not in SHIPPED_AVATARS:
+            self.tell("These poses fit the built-in hand: Apply Pose closes fists and pinches on this one.")
 
 
 def _others(context: bpy.types.Context) -> list[bpy.types.Object]:
@@ -186,7 +189,7 @@ class AddControls(Reporting, bpy.types.Operator):
         for hand in hands:  # all or none
             controls.check_editable(context, hand)
         for hand in hands:
-            controls.add_controls(context, hand)
+            controls.add_controls(context, hand, avatar_files.fist_of(avatar_of(hand)))
 
 
 class RemoveControls(Reporting, bpy.types.Operator):

@@ -9,6 +9,7 @@ from blender_addon import versions
 from blender_addon.core import posing
 from blender_addon.core.controls import CONTROLS, FINGER_CONTROLS, HAND_CONTROL, TIP_CONTROLS
 from blender_addon.core.joints import FINGERS, HANDEDNESSES, NAMES, TIPS
+from blender_addon.core.view import BUILTIN_AVATAR
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, controls, motion
 from blender_addon.viewport import handlers
@@ -84,6 +85,20 @@ def test_curl_fist_spread_and_splay_move_the_fingers_they_name(context, handedne
     assert wide > 1.2 * np.linalg.norm(rest[NAMES.index("index4")] - rest[NAMES.index("pinky4")])
 
 
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+@pytest.mark.parametrize("avatar", ["", "strong"])
+def test_a_full_curl_is_the_fist_that_apply_pose_closes_on_the_same_hand(extension, handedness, avatar):
+    assert bpy.ops.jghand.add_hand(handedness=handedness, avatar=avatar or BUILTIN_AVATAR) == {"FINISHED"}
+    hand = extension.object
+    assert bpy.ops.jghand.apply_pose(pose="fist") == {"FINISHED"}
+    fist = hands.joints_of(hand)
+    for leaders in ((HAND_CONTROL,), FINGER_CONTROLS):
+        assert bpy.ops.jghand.reset_pose() == {"FINISHED"}
+        for name in leaders:
+            hand.pose.bones[name].rotation_euler.x = np.pi / 2
+        np.testing.assert_allclose(hands.joints_of(hand), fist, atol=EXACT_M)
+
+
 def test_left_controls_are_the_mirror_image_of_right_ones(context):
     seen = {}
     for handedness in HANDEDNESSES:
@@ -113,6 +128,19 @@ def test_a_held_tip_stays_and_does_not_jump_when_it_is_taken(context, handedness
     controls.reset_controls(hand)
     hand.pose.bones["wrist"].location = (0, 0, 0)
     np.testing.assert_allclose(hands.joints_of(hand), posing.rest_joints_m(handedness), atol=EXACT_M)
+
+
+@pytest.mark.parametrize("pose", ["relaxed", "pinch", "fist"])
+def test_pinning_the_tips_of_a_pose_moves_no_finger(extension, pose):
+    """Not even one that is bent to its end; but for the little finger of a fist, whose joints move by 1.5 mm."""
+    bpy.ops.jghand.add_hand()
+    bpy.ops.jghand.apply_pose(pose=pose)
+    before = hands.joints_of(extension.object)
+    for finger in FINGERS:
+        bpy.ops.jghand.hold_tip(finger=finger)
+    moved_m = np.linalg.norm(hands.joints_of(extension.object) - before, axis=-1)
+    assert moved_m[:-4].max() < 2e-5
+    assert moved_m.max() < (2e-3 if pose == "fist" else 2e-5)
 
 
 def test_joint_limits_stop_a_finger_and_can_be_switched_off(context):
@@ -147,7 +175,7 @@ def test_adding_and_removing_keeps_every_key_and_every_joint(context):
     assert set(hand.data.bones.keys()) == set(NAMES)
     assert not {controls.COLLECTION, controls.TIP_COLLECTION} & set(hand.data.collections.keys())
     assert not any(bone.constraints for bone in hand.pose.bones)
-    assert not any(bone.lock_ik_y or bone.use_ik_limit_x for bone in hand.pose.bones)
+    assert not any(bone.ik_stiffness_y or bone.use_ik_limit_x for bone in hand.pose.bones)
     assert hand.animation_data.action is action
     curves = versions.fcurves(hand)
     after = [(curve.data_path, [tuple(key.co) for key in curve.keyframe_points]) for curve in curves]
