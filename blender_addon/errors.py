@@ -78,7 +78,7 @@ ADVICE = {
     "bad_avatar": Advice("The avatar is damaged, or no JGHand avatar", 'Choose another "Avatar", or empty the field'),
     "no_avatar": Advice("The file of the avatar does not exist", 'Choose another "Avatar", or put the file back'),
     "bad_pack": Advice("There are no hands in this file", "Choose a zip of JGHand's hands"),
-    "bad_input": Advice("The renderer cannot use what it was given", "Correct it and try again"),
+    "bad_input": Advice("JGHand cannot use what it was given", "Correct it and try again"),
     "retry": Advice("The renderer could not do it now", "Try again", TRY_AGAIN),
     "internal": Advice("Internal error", 'Look at "Show Log" and report it', MISTAKE),
     "interrupted": Advice("The run was interrupted", "Start it again to continue where it stopped", INTERRUPTED),

@@ -12,7 +12,7 @@ inverse kinematics for the whole finger, which has the same limits as properties
 
 from __future__ import annotations
 
-from collections.abc import Container, Generator, Iterator, Sequence
+from collections.abc import Container, Generator, Iterable, Iterator, Sequence
 from typing import Any
 
 import bpy
@@ -326,11 +326,11 @@ def _make_rules(hand: bpy.types.Object, rest: np.ndarray, fist: PosedFingers) ->
             bone, turn = hand.pose.bones[name], Quaternion(fist.turns[name]).to_euler("XYZ")
             for leader, spread_to, (of_spread, of_curl, of_palm) in leaders:
                 if name == first:
-                    _follow(hand, bone, of_spread, leader, "Z", turn=(0.0, 0.0, spread_to))
-                _follow(hand, bone, of_curl, leader, "X", turn=turn, goes_back=name == first)
+                    _follow(hand, bone, of_spread, leader, "Z", (0.0, 0.0, spread_to))
+                _follow(hand, bone, of_curl, leader, "X", turn, goes_back=name == first)
                 if name in fist.knuckles:
-                    size = float(np.linalg.norm(rest[NAMES.index(name), :3, 3] - rest[WRIST, :3, 3]))
-                    _follow(hand, bone, of_palm, leader, "X", way=size * np.array(fist.knuckles[name]))
+                    way = float(np.linalg.norm(rest[NAMES.index(name), :3, 3] - rest[WRIST, :3, 3]))
+                    _follow(hand, bone, of_palm, leader, "X", way * Vector(fist.knuckles[name]), moves=True)
             span = ranges[name]
             _limit(bone, LIMIT, span.x, span.y, span.z)
             _set_solver_range(bone, span)
@@ -346,31 +346,31 @@ def _follow(
     name: str,
     control: str,
     axis: str,
+    most: Iterable[float],
     *,
-    turn: Sequence[float] | None = None,
-    way: Sequence[float] = (0.0, 0.0, 0.0),
+    moves: bool = False,
     goes_back: bool = False,
 ) -> None:
     """Where a control turns about its axis ("X", curl, or "Z", spread) a bone turns, after its own rotation, or moves.
 
-    turn, way: (3,) Euler angles, or way from rest, at the control's full turn; the map is one line through zero. A
-    spread goes both ways, a curl back where the bone `goes_back`; else the map begins at zero.
+    most: three Euler angles, or the way, at the control's full turn; the map is one line through zero. A spread goes
+    both ways, a curl back where the bone `goes_back`; else the map begins at zero.
     """
     back, full, spread = np.radians((controls.CURL_BACK_DEG, controls.CURL_FULL_DEG, controls.SPREAD_FULL_DEG))
     low, high = (-spread, spread) if axis == "Z" else (-back if goes_back else 0.0, full)
     rule = bone.constraints.new("TRANSFORM")
     rule.name, rule.target, rule.subtarget = name, hand, control
     rule.owner_space = rule.target_space = "LOCAL"
-    rule.map_from, rule.map_to = "ROTATION", "LOCATION" if turn is None else "ROTATION"
+    rule.map_from, rule.map_to = "ROTATION", "LOCATION" if moves else "ROTATION"
     rule.from_rotation_mode = rule.to_euler_order = "XYZ"
     rule.mix_mode_rot = "AFTER"
     rule.map_to_x_from = rule.map_to_y_from = rule.map_to_z_from = axis
     setattr(rule, f"from_min_{axis.lower()}_rot", low)
     setattr(rule, f"from_max_{axis.lower()}_rot", high)
-    ending = "" if turn is None else "_rot"
-    for to, most in zip("xyz", way if turn is None else turn, strict=True):
-        setattr(rule, f"to_min_{to}{ending}", most * low / high)
-        setattr(rule, f"to_max_{to}{ending}", most)
+    ending = "" if moves else "_rot"
+    for to, value in zip("xyz", most, strict=True):
+        setattr(rule, f"to_min_{to}{ending}", value * low / high)
+        setattr(rule, f"to_max_{to}{ending}", value)
 
 
 def _limit(bone: bpy.types.PoseBone, name: str, *spans: tuple[float, float]) -> Any:

@@ -44,7 +44,7 @@ _TEXT_MAX = 300
 
 class Phase(Enum):
     RUNNING = "running"
-    CANCELLING = "cancelling"
+    CANCELLING = "canceling"
     DONE = "done"
     CANCELLED = "canceled"
     FAILED = "failed"

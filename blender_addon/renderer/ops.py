@@ -91,7 +91,7 @@ class InstallTools(Reporting, bpy.types.Operator):
         if not _tools_are_free(cls):
             return False
         if not runtime.is_online():
-            return missing(cls, 'Switch "Allow Online Access" on in the preferences, under System')
+            return missing(cls, JGHandFailure("offline").advice.remedy)
         return True
 
     def run(self, _context: bpy.types.Context) -> None:

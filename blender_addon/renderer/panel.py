@@ -87,6 +87,8 @@ def draw_tools(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     now = runtime.tools_state()
     icon = "CHECKMARK" if now == "ready" else "ERROR" if now == "broken" else "INFO"
     ui.paragraph(box, context, _STATES[now], icon=icon)
+    if now != "ready" and not runtime.is_online():
+        ui.paragraph(box, context, JGHandFailure("offline").advice.remedy, icon="BLANK1")
     row = box.row(align=True)
     if now != "ready":
         row.operator("jghand.install_tools", icon="IMPORT")

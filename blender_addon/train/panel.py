@@ -126,24 +126,31 @@ class FilmPanel(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, job = self.layout, runtime.jobs.get(runtime.OWN)
-        if job is None or job.is_over:
-            for number, line in enumerate(_FILMING, 1):
-                ui.paragraph(layout, context, f"{number}. {line}.")
-        try:
-            runtime.program(learns=True)
-        except JGHandFailure as failure:
-            if failure.kind == "no_tools":
-                draw_tools(layout, context)
-            else:
-                draw_failure(layout, context, failure)
-            return
-        if not runtime.is_online():
-            text = "Blender may not go online: the networks that find a hand must be on this computer already"
-            ui.paragraph(layout, context, text, icon="INFO")
-        layout.operator("jghand.hand_from_film", text="Choose a Film…", icon="FILE_MOVIE")
         draw_job(layout, context, runtime.OWN)
+        if job is not None and not job.is_over:
+            return
         if job is not None and job.state.phase is Phase.DONE:
             _draw_own(layout, context, job.spec.folder)
+        _draw_film_button(layout, context)
+        for number, line in enumerate(_FILMING, 1):
+            ui.paragraph(layout, context, f"{number}. {line}.")
+
+
+def _draw_film_button(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Or what it lacks."""
+    try:
+        runtime.program(learns=True)
+    except JGHandFailure as failure:
+        if failure.kind == "no_tools":
+            draw_tools(layout, context)
+        else:
+            draw_failure(layout, context, failure)
+        return
+    layout.operator("jghand.hand_from_film", text="Choose a Film…", icon="FILE_MOVIE")
+    if not runtime.is_online():
+        remedy = JGHandFailure("offline").advice.remedy
+        text = f"The networks that find a hand are downloaded with the first film. {remedy}"
+        ui.paragraph(layout, context, text, icon="INFO")
 
 
 def _look_at_findings(_context: bpy.types.Context, file: str) -> list[str]:
