@@ -23,6 +23,8 @@ MIRROR_VARIABLE = "JGHAND_DEBIAN_MIRROR"
 PACKAGES = (
     # JGHand and the extension system want the last three, and apt takes them for optional
     "blender", "python3-numpy", "python3-cattr", "python3-requests",
+    # MediaPipe, which finds hands in films, wants this one
+    "libgles2",
     # a screen without a monitor, a hand on mouse and keyboard, pictures of the screen
     "xvfb", "xauth", "xdotool", "imagemagick",
     "libgl1", "libglx-mesa0", "libegl1", "libegl-mesa0", "libgl1-mesa-dri", "fonts-dejavu-core", "ca-certificates",

@@ -8,10 +8,10 @@
 A story is a file of small functions (tests/in_blender/__init__.py says how they look); each story gets a Blender of its
 own, with an empty profile into which the freshly built zip is installed: the renderer is the one in the zip, run by
 Blender's own Python. In a folder of its own Blender sees nothing else of this machine than `tests`, so that no engine
-of the checkout can help. Pictures, logs and results lie in build/in_blender/STORY. Needs Blender, Xvfb, xdotool and
-ImageMagick; where they are not installed, a folder with all of them is made from Debian's packages (root, mmdebstrap,
-two minutes, 1.3 GB; scripts/blender_folder.py). The exit code is 0 when every step passed, 1 when one failed, 77 when
-it cannot be tried here, which the last line then explains.
+of the checkout can help, but for a Python with PyTorch that a story names. Pictures, logs and results lie in
+build/in_blender/STORY. Needs Blender, Xvfb, xdotool and ImageMagick; where they are not installed, a folder with all of
+them is made from Debian's packages (root, mmdebstrap, two minutes, 1.3 GB; scripts/blender_folder.py). The exit code is
+0 when every step passed, 1 when one failed, 77 when it cannot be tried here, which the last line then explains.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ ROOT = Path(__file__).resolve().parents[1]
 STORIES = ROOT / "tests" / "in_blender"
 HELPERS = {"__init__", "driver", "window", "pictures"}
 FOLDER_VARIABLE = "JGHAND_BLENDER_FOLDER"
+LEARNING_VARIABLE = "JGHAND_LEARNING_PYTHON"
 CANNOT = 77
 SCREEN = "1280x800"
 # starts the screen on a free number, then the rest of its arguments; ends the screen with them
@@ -70,6 +71,15 @@ def the_platform() -> str:
     return found
 
 
+def learning_python(python: Path | None) -> tuple[dict[str, str], list[Path]]:
+    """What tells a story which Python has PyTorch and the engine, and the folders that these are in; or nothing."""
+    if python is None or not python.is_file():
+        return {}, []
+    ask = "import sys, jghand_engine; print(sys.prefix, sys.base_prefix, *jghand_engine.__path__, sep='\\n')"
+    told = subprocess.run([str(python), "-I", "-c", ask], capture_output=True, text=True, check=True).stdout
+    return {LEARNING_VARIABLE: str(python)}, [Path(line) for line in told.splitlines()]
+
+
 def run_story(place: Place, archive: Path, story: Path, steps: list[str], options: argparse.Namespace) -> bool:
     """Runs one story and says how its steps went; returns whether all passed."""
     out = options.out / story.stem
@@ -81,14 +91,15 @@ def run_story(place: Place, archive: Path, story: Path, steps: list[str], option
         "LIBGL_ALWAYS_SOFTWARE": "1", "GALLIUM_DRIVER": "llvmpipe",
         "JGHAND_CACHE_DIR": str(out.parent / "cache"), "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "2"),
     }  # fmt: skip
+    named, folders = learning_python(options.learning_python)
     width, height = options.screen.split("x")
     blender = [
         "blender", "--no-window-focus", "--gpu-backend", "opengl", "--window-geometry", "0", "0", width, height,
         "--python-exit-code", "1", "--python", str(STORIES / "driver.py"),
         "--", str(archive), str(out), str(story), *steps,
     ]  # fmt: skip
-    seen = [ROOT / "tests", out.parent, archive.parent, story.parent]
-    command = place.command(["bash", "-c", WITH_SCREEN, "screen", options.screen, *blender], seen, variables)
+    seen = [ROOT / "tests", out.parent, archive.parent, story.parent, *folders]
+    command = place.command(["bash", "-c", WITH_SCREEN, "screen", options.screen, *blender], seen, variables | named)
     started = time.perf_counter()
     log = out / "blender.log"
     with log.open("wb") as stream:
@@ -144,6 +155,10 @@ def main() -> int:
     parser.add_argument(
         "--folder", type=Path, default=os.environ.get(FOLDER_VARIABLE) or ROOT / ".envs" / "blender_window",
         help=f"folder with Debian and Blender, made once (default {FOLDER_VARIABLE}, else .envs/blender_window)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--learning-python", type=Path, default=ROOT / ".envs" / "engine" / "bin" / "python", metavar="PYTHON",
+        help="has the engine with PyTorch, for stories whose jobs learn (default .envs/engine)",
     )  # fmt: skip
     parser.add_argument("--screen", default=SCREEN, metavar="WxH", help=f"size of the screen (default {SCREEN})")
     parser.add_argument("--timeout", type=float, default=600, help="seconds that one story may take (default 600)")

@@ -182,6 +182,10 @@ class Window:
         """Calls an operator that asks for a file, and chooses this one in Blender's browser."""
         bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
         self.call(operator)
+        yield from self.in_browser(path)
+
+    def in_browser(self, path: Path) -> Waits:
+        """Chooses a file in the browser that opens."""
         yield lambda: any(area.type == "FILE_BROWSER" for area in self.window.screen.areas)
         yield 0.7
         area = self.area("FILE_BROWSER")
