@@ -75,7 +75,8 @@ class Export(StartsJob, bpy.types.Operator):
                 recording.save(folder / f"{recording.name}.npz")
             return None
         if settings.format == "ply":
-            title, options = "Exporting PLY", ["--axes", settings.axes, "--surfels", str(settings.surfels)]
+            title, options = "Exporting PLY", ["--axes", settings.axes]
+            options += ["--surfels", str(settings.surfels)] if settings.use_surfels else []
         else:
             title = "Exporting USD"
             options = usd_options(settings.variant, settings.width_factor, settings.radiance)

@@ -170,12 +170,17 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
         max=100.0,
     )
     axes: bpy.props.EnumProperty(name="Axes", description="Axes of the numbers in PLY files", items=AXES, default="rdf")
-    surfels: bpy.props.IntProperty(
+    use_surfels: bpy.props.BoolProperty(
         name="Surfels",
-        description="Write the skin as so many flat splats with the colors of the hand's texture, for close-ups, such "
-        "as 200,000, at least 56,000 for most; 0 is the hand's own splats, which are coarser than its skin",
-        default=0,
-        min=0,
+        description="Write the skin as flat splats with the colors of the hand's texture, for close-ups. Off, the "
+        "hand's own splats, which are coarser than its skin",
+    )
+    surfels: bpy.props.IntProperty(
+        name="Count",
+        description="How many surfels, at least 56,000 for most hands",
+        default=200_000,
+        min=1,
+        soft_min=56_000,
         soft_max=400_000,
         max=2_000_000,
         step=100_000,

@@ -159,13 +159,14 @@ def test_ply_files_are_numbered_as_the_scenes_frames(extension, engine, tmp_path
     ]
 
 
-@pytest.mark.parametrize(("surfels", "least", "most"), [(0, 30_000, 41_000), (60_000, 55_000, 60_000)])
+@pytest.mark.parametrize(("surfels", "least", "most"), [(False, 30_000, 41_000), (True, 55_000, 60_000)])
 def test_splats_of_a_scene_that_lights_its_hands_show_its_light(extension, engine, tmp_path, surfels, least, most):
     hand, scene = a_hand(extension), extension.scene
     hand.jghand.avatar = "builtin"
     scene.frame_end = scene.frame_start
     settings, lamp = scene.jghand.output, bpy.data.lights.new("Lamp", "SUN")
-    settings.format, settings.folder, settings.axes, settings.surfels = "ply", str(tmp_path), "rub", surfels
+    settings.format, settings.folder, settings.axes, settings.surfels = "ply", str(tmp_path), "rub", 60_000
+    settings.use_surfels = surfels
     scene.collection.objects.link(bpy.data.objects.new("Lamp", lamp))
     lamp.energy, scene.world, scene.jghand.light = 3, None, "SCENE"
     reds = {}
