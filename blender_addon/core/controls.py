@@ -42,10 +42,10 @@ HAND_CONTROL = "control_hand"
 FINGER_CONTROLS = tuple(f"control_{finger}" for finger in FINGERS)
 TIP_CONTROLS = tuple(f"tip_{finger}" for finger in FINGERS)
 CONTROLS = (HAND_CONTROL, *FINGER_CONTROLS, *TIP_CONTROLS)
-# names of the constraints on the 21 bones, in the order in which they act, what a control turns and how far knuckles go
-# with that; what has such a name is ours
-OF_HAND = SPLAY, FIST, FIST_PALM = "JGHand Splay", "JGHand Fist", "JGHand Fist Palm"
-OF_FINGER = SPREAD, CURL, CURL_PALM = "JGHand Spread", "JGHand Curl", "JGHand Curl Palm"
+# names of the constraints on the 21 bones, in the order in which they act: spread and curl by a control, and how far
+# knuckles go with the curl; what has such a name is ours
+OF_HAND = "JGHand Splay", "JGHand Fist", "JGHand Fist Palm"
+OF_FINGER = "JGHand Spread", "JGHand Curl", "JGHand Curl Palm"
 LIMIT, TIP = "JGHand Limit", "JGHand Tip"
 RULES = (*OF_HAND, *OF_FINGER, LIMIT, TIP)
 

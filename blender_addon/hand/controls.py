@@ -6,8 +6,8 @@ permission to run scripts, and renders alike on every machine. The 21 bones keep
 further (`AFTER` their own rotation), so a neutral control changes nothing, and taking the layer away changes no key.
 Keys on the controls themselves stay in the action and work again when the controls are added again.
 
-Evaluation order of a bone: its keys, fist and splay, the finger's own curl and spread, the joint limits; then the tip's
-inverse kinematics for the whole finger, which has the same limits as properties of its own.
+Evaluation order of a bone: its keys, splay and fist, the finger's own spread and curl, the joint limits; then the tip's
+inverse kinematics for the whole finger, which has limits as properties of its own.
 """
 
 from __future__ import annotations
