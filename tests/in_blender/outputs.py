@@ -109,6 +109,23 @@ def step_usd_ply_and_motion_files_are_exported(window):
     window.picture("exported")
 
 
+def step_surfels_are_a_switch_with_a_count(window):
+    jobs, scene = window.runtime().jobs, bpy.context.scene
+    settings = scene.jghand.output
+    bpy.context.object.jghand.avatar = ""
+    settings.format, settings.folder, settings.use_surfels, settings.surfels = "ply", "//surfels", True, 60_000
+    scene.frame_end = 1
+    window.redraw()
+    yield 1.0
+    window.picture("surfels")
+    window.call("jghand.export")
+    yield lambda: jobs.get("export").spec.title == "Exporting PLY" and not jobs.runs("export")
+    (file,) = (window.out / "surfels").glob("*.ply")
+    count = int(file.read_bytes().split(b"element vertex ")[1].split(b"\n")[0])
+    assert 55_000 < count <= 60_000, count
+    settings.use_surfels, scene.frame_end = False, FRAMES
+
+
 def step_a_training_survives_opening_another_file(window):
     """The engine's command line is stood in for by a program that counts: what is tried is Blender's side."""
     runtime, table = window.runtime(), window.runtime().jobs
