@@ -96,3 +96,13 @@ def test_a_library_of_the_users_with_our_name_stays_what_it_is(context, tmp_path
     assert pose_library.library()
     assert name != "JGHand"
     assert theirs.path == str(tmp_path)
+
+
+@pytest.mark.parametrize("avatar", [BUILTIN_AVATAR, "strong"])
+def test_the_shelf_says_of_another_persons_hand_which_poses_close_on_it(extension, avatar, capfd):
+    bpy.ops.jghand.make_pose_assets()
+    bpy.ops.jghand.add_hand(avatar=avatar)
+    capfd.readouterr()
+    assert bpy.ops.jghand.show_pose_shelf() == {"FINISHED"}
+    assert bpy.context.mode == "POSE"
+    assert ("Apply Pose closes" in capfd.readouterr().out) == (avatar == "strong")
