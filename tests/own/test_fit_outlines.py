@@ -11,7 +11,7 @@ from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.rotations import vector_rotation
 from jghand_engine.hand.sequence import bone_directions
-from jghand_engine.own import fit_outlines
+from jghand_engine.own import fit_outlines, hand_fit
 from jghand_engine.own.fit_outlines import _PLAIN, OutlineSurface, shape_of_outlines
 from jghand_engine.own.hand_fit import HandFit
 from jghand_engine.own.masks import wrist_side
@@ -158,3 +158,22 @@ def test_of_a_known_hand_only_poses_change(prior, camera, joints_m, masks):
     np.testing.assert_array_equal(after.shape, hand.shape)
     np.testing.assert_allclose(after.own_joints_m, hand.own_joints_m, atol=1e-7)
     assert np.abs(after.poses.place_m[:, 0] - poses.place_m[:, 0]).max() < 0.0015
+
+
+@pytest.mark.usefixtures("quick")
+def test_in_every_picture_of_a_film_outlines_move_a_known_hand_smoothly(prior, camera, joints_m, masks, monkeypatch):
+    def step(_surface, joints, *_):
+        """One that stays, and one that trembles from picture to picture."""
+        moved = np.zeros((COUNT, 26))
+        moved[:, 0], moved[:, 25] = 0.02, 0.01 * (-1.0) ** np.arange(COUNT)
+        return moved, np.zeros(0)
+
+    monkeypatch.setattr(hand_fit, "outline_step", step)
+    monkeypatch.setattr(hand_fit, "STEPS", 1)
+    hand = fit_of(prior, camera, joints_m, poses_of(COUNT)).result()
+    fit = fit_of(prior, camera, joints_m, poses_of(COUNT), hand=hand)
+    before = fit.result().poses
+    fit.fit_outlines(masks)
+    after = fit.result().poses
+    np.testing.assert_allclose(after.angle_rad[:, 0] - before.angle_rad[:, 0], 0.02, rtol=1e-4)
+    assert np.abs(after.place_m - before.place_m).max() < 0.005, "as far as it trembled: 0.01"
