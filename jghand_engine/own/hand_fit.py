@@ -81,8 +81,8 @@ OUTLINE_SPREADS = {
     "palm_shift_m": (0.0015,) * 15,
 }
 # masks are off by parts of a pixel, differently in each picture: of a known hand in every picture of a film, what
-# outlines change is smoothed over so many seconds (standard deviation). Bones then jitter as little as without outlines,
-# and are nearer to the truth than without the smoothing; half or twice as much hardly matters
+# outlines change is smoothed over so many seconds (standard deviation). Bones then jitter as little as without outlines
+# and are nearer to the truth than unsmoothed; half or twice as much hardly matters
 OUTLINE_SMOOTH_S = 0.1
 # by so much numbers grow to see what the joints do
 DIFFERENCE = 1e-3
