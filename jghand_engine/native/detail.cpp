@@ -10,7 +10,7 @@
 // within their own width, and skin closer than that.
 //
 // A relief is light that falls on skin of another slope: vertices ask how the light turns with their normal, and pixels
-// multiply that by how their own leans.
+// multiply that by how their own leans. Gloss is narrower: vertices ask for its lobe, and pixels where they are in it.
 //
 // What is nearer is a larger `near`, 1/z or, of parallel rays, -z: it is linear on the image, and so are the texture's
 // coordinates times it (of parallel rays: by themselves).
@@ -86,9 +86,15 @@ void skin_vertices(const DetailTask& t, const DetailHand& hand, int32_t block) {
   if (t.layers) store_in_camera(t, normal, hand.turned + row, rows);
   if (!(hand.rise > 0)) return;
   const int64_t around = ANCHORS_AROUND * row;
-  light_slope(*hand.learned, hand.nearest + around, hand.beside + around, hand.share + around, p, normal, slope);
+  GlossLobe gloss = {};
+  const bool is_glossy = hand.gloss && hand.learned->scene;
+  light_slope(*hand.learned, hand.nearest + around, hand.beside + around, hand.share + around, p, normal, slope,
+              is_glossy ? &gloss : nullptr);
   store_in_camera(t, slope, hand.slope + row, rows);
   store(hand.slope + 3 * rows + row, dot(slope, normal));
+  if (!hand.gloss) return;
+  store_in_camera(t, gloss.way, hand.gloss + row, rows);
+  store(hand.gloss + 3 * rows + row, gloss.width2), store(hand.gloss + 4 * rows + row, gloss.part);
 }
 
 // Puts vertices into the middles of sides, on a smooth surface through those around: render/fine_faces.py.
@@ -112,6 +118,7 @@ void round_sides(const DetailTask& t, const DetailHand& hand, int32_t block) {
   for (int i = 0; t.layers && i < 3; i++) mean(hand.turned + i * rows);
   if (!(hand.rise > 0)) return;
   for (int i = 0; i < 4; i++) mean(hand.slope + i * rows);
+  for (int i = 0; i < 5; i++) mean(hand.gloss + i * rows);
   mean(hand.bend);
 }
 
@@ -142,7 +149,7 @@ void relief_of_group(const DetailTask& t, const DetailHand& hand, int32_t group,
                      const vf near[3], Faces& faces) {
   const int64_t rows = rows_of(hand);
   const float* uv = hand.corner_uv + 6 * LANES * (int64_t)group;
-  vf p[3][3], side[2][3], du[2], dv[2], by_u[3], by_v[3], along[3], bend[3];
+  vf p[3][3], side[2][3], du[2], dv[2], turn[2][3], along[3], bend[3], way[2][3], part[3], width2 = {};
   for (int k = 0; k < 3; k++) {
     const vf z = t.orthographic ? -near[k] : 1.f / near[k], over = t.orthographic ? all(1.f) : z;
     p[k][0] = (x[k] - t.cx) * over * (1.f / t.fx), p[k][1] = (y[k] - t.cy) * over * (1.f / t.fy), p[k][2] = z;
@@ -159,17 +166,31 @@ void relief_of_group(const DetailTask& t, const DetailHand& hand, int32_t group,
     const vf first = (g11 * side[0][i] - g01 * side[1][i]) * inverse, second = (g00 * side[1][i] - g01 * side[0][i]) * inverse;
     u[i] = du[0] * first + du[1] * second, v[i] = dv[0] * first + dv[1] * second;
   }
-  faces.at[UU] = dot(u, u), faces.at[UV] = dot(u, v), faces.at[VV] = dot(v, v);
+  // axes on the face, the first along u
+  vf axis[2][3];
+  const auto unit_of = [](const vf vector[3], vf out[3]) __attribute__((always_inline)) {
+    const vf length2 = dot(vector, vector), shorter = select(length2 > 0, inverse_sqrt(length2), vf{});
+    for (int i = 0; i < 3; i++) out[i] = vector[i] * shorter;
+  };
+  unit_of(u, axis[0]);
+  const vf aside = dot(v, axis[0]);
+  for (int i = 0; i < 3; i++) axis[1][i] = v[i] - aside * axis[0][i];
+  unit_of(axis[1], axis[1]);
   for (int k = 0; k < 3; k++) {
     vi row;
     memcpy(&row, hand.corner + (3 * (int64_t)group + k) * LANES, sizeof row);
-    vf slope[3];
-    for (int i = 0; i < 3; i++) slope[i] = gather(hand.slope + i * rows, row);
-    by_u[k] = dot(slope, u), by_v[k] = dot(slope, v);
+    const auto along_axes = [&](const float* vectors, vf out[2][3]) __attribute__((always_inline)) {
+      vf vector[3];
+      for (int i = 0; i < 3; i++) vector[i] = gather(vectors + i * rows, row);
+      for (int a = 0; a < 2; a++) out[a][k] = dot(vector, axis[a]);
+    };
+    along_axes(hand.slope, turn), along_axes(hand.gloss, way);
+    width2 += (1.f / 3) * gather(hand.gloss + 3 * rows, row), part[k] = gather(hand.gloss + 4 * rows, row);
     along[k] = gather(hand.slope + 3 * rows, row), bend[k] = gather(hand.bend, row);
   }
-  set_plane(faces, BY_U, by_u), set_plane(faces, BY_V, by_v), set_plane(faces, ALONG, along);
-  set_plane(faces, BEND, bend);
+  for (int a = 0; a < 2; a++) set_plane(faces, TURN_0 + a, turn[a]), set_plane(faces, WAY_0 + a, way[a]);
+  set_plane(faces, ALONG, along), set_plane(faces, BEND, bend), set_plane(faces, PART, part);
+  faces.by_x[X] = dot(u, axis[0]), faces.by_x[Y] = aside, faces.by_y[X] = dot(v, axis[1]), faces.by_y[Y] = width2;
 }
 
 void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
@@ -340,13 +361,27 @@ JG_INLINE Chosen level_for(vf spans2, int32_t last) {
   return {to_int(fine), clamped((wanted - fine - MIX_FROM) * (1.f / (MIX_TO - MIX_FROM)))};
 }
 
+// What a relief makes of the color of sixteen pixels.
+struct Relit {
+  vf light;  // by which it is multiplied
+  vf part;   // of it that is mirrored
+  vf shine;  // by which that is multiplied
+};
+
 // How much more light skin of the relief's slope gets than the surface: with the slope of the light q, normals n and n',
-// 1 + q.(n' - n). rise: by column and row, over hand.rise
-JG_INLINE vf relief_light(const DetailHand& hand, const vf at[LANES], const vf rise[2]) {
-  const vf du = rise[0] * hand.rise, dv = rise[1] * hand.rise;
-  const vf steep2 = du * du * at[UU] + 2.f * du * dv * at[UV] + dv * dv * at[VV];
-  const vf light = 1.f - at[ALONG] + (at[ALONG] - du * at[BY_U] - dv * at[BY_V]) * inverse_sqrt(1.f + steep2);
-  return min(max(light, all(LIGHT_LEAST)), all(LIGHT_MOST));
+// 1 + q.(n' - n); and how much more it mirrors. rise: by column and row, over hand.rise
+JG_INLINE Relit relit(const DetailHand& hand, const Interpolated& n, const vf rise[2]) {
+  const vf *at = n.at, du = rise[0] * hand.rise, dv = rise[1] * hand.rise;
+  const vf tilt[2] = {du * n.of_face[0] + dv * n.of_face[1], dv * n.of_face[2]};
+  const vf upright = inverse_sqrt(1.f + tilt[0] * tilt[0] + tilt[1] * tilt[1]);
+  const vf light = 1.f - at[ALONG] + (at[ALONG] - tilt[0] * at[TURN_0] - tilt[1] * at[TURN_1]) * upright;
+  vf before = n.of_face[3], after = before;
+  for (int a = 0; a < 2; a++) {
+    const vf way = at[WAY_0 + a], left = way + tilt[a] * upright;
+    before += way * way, after += left * left;
+  }
+  const vf ratio = before * inverse(max(after, all(WIDTH2_MIN)));
+  return {min(max(light, all(LIGHT_LEAST)), all(LIGHT_MOST)), max(at[PART], vf{}), ratio * ratio};
 }
 
 // How much the Gaussians at this depth are those below the face of `mine`, at sixteen pixels of a row.
@@ -383,15 +418,19 @@ JG_INLINE void shade(const DetailTask& t, const DetailHand& hand, const Interpol
   vf texel[CHANNELS] = {};
   add_level<has_relief>(hand.texels, fine, u, v, 1.f - chosen.part, texel);
   if (bit_mask(mine & (chosen.part > 0))) add_level<has_relief>(hand.texels, coarse, u, v, chosen.part, texel);
-  vf light = all(1.f);
+  vf light = all(1.f), mirrored = {};
   if constexpr (has_relief) {
     vf rise[2];
     for (int i = 0; i < 2; i++)
       rise[i] = texel[STRAIGHT + i] - FIELD_MIDDLE + n.at[BEND] * (texel[BENT + i] - texel[STRAIGHT + i]);
-    light += weight * (relief_light(hand, n.at, rise) - 1.f);
+    const Relit relief = relit(hand, n, rise);
+    light += weight * (relief.light - 1.f);
+    // it is taken as white: no more of it is in a color than in its least channel
+    const vf shown = luminance(color), white = min(relief.part * shown, min(min(color[0], color[1]), color[2]));
+    mirrored = weight * min(white * (relief.shine - relief.light), (LIGHT_MOST - relief.light) * shown);
   }
   const vf exponent = weight * hand.exponent;
-  for (int i = 0; i < 3; i++) color[i] *= light * exp2(exponent * (texel[RED + i] - FIELD_MIDDLE));
+  for (int i = 0; i < 3; i++) color[i] = color[i] * light * exp2(exponent * (texel[RED + i] - FIELD_MIDDLE)) + mirrored;
 }
 
 // What of a hand is the nearest in a tile.

@@ -37,6 +37,7 @@ struct DetailHand {
   const float* share;        // (blocks, ANCHORS_AROUND, 16)
   float* bend;               // (rows): 0 straight to 1 bent, given for the surface's blocks
   float* slope;              // (4, rows): how their light turns with the normal, in the camera's axes; along it
+  float* gloss;              // (5, rows): `GlossLobe` of it: way in the camera's axes, width2, part; null: none
   float rise;                // m per side of the square, over the range of a byte, times the hand's scale; 0: not drawn
   // vertices in the middles of sides
   const int32_t* around;     // (side_blocks, AROUND_SIDE, 16): rows of the vertices around each: see `round_sides`
@@ -87,11 +88,15 @@ const vf SAMPLE_Y = {-0.7699f, 0.0337f, -0.2478f, 0.3312f, -0.4290f, 0.1724f, -0
 constexpr float SAMPLES_TO = 0.78f;  // pixels to each side
 
 // What is kept of a face. First what is affine on the image: near; the texture's column and row times it; how much is
-// shown; of relief the light's change with a rise by column and by row, its change along the normal, and the bend; and
-// corners' shares. Each has its value at the first corner, and by how much it changes by x and by y, in a vector each:
-// three that lie together. Behind the values stand that corner, and squares of what a rise by column and row tilts.
-enum Plane { NEAR, U, V, WHOLE, BY_U, BY_V, ALONG, BEND, SHARE_0, SHARE_1, SHARE_2, X, Y, UU, UV, VV };
+// shown; of relief the light's change with a lean along two axes on the face, its change along the normal, and the bend, and
+// of the lobe of its gloss the way along these axes and the part; and corners' shares. Each has its value at the first
+// corner, and by how much it changes by x and by y, in a vector each: three that lie together. Behind the values stands
+// that corner; behind the changes how a rise by column tilts the first axis, a rise by row the first and the second, and
+// the width of the lobe.
+enum Plane { NEAR, U, V, WHOLE, TURN_0, TURN_1, ALONG, BEND, WAY_0, WAY_1, PART, SHARE_0, SHARE_1, SHARE_2, X, Y };
 constexpr int BY_X = LANES, BY_Y = 2 * LANES, FACE_NUMBERS = 3 * LANES;
+enum OfFace { BY_COLUMN_0 = BY_X + X, BY_ROW_0 = BY_X + Y, BY_ROW_1 = BY_Y + X, WIDTH2 = BY_Y + Y };
+constexpr int OF_FACE[] = {BY_COLUMN_0, BY_ROW_0, BY_ROW_1, WIDTH2};
 
 // The nearest face of each pixel of a part of the image.
 struct Surface {
@@ -282,6 +287,7 @@ JG_INLINE vf covered_part(const Surface& tile, int32_t row, int32_t x) {
 struct Interpolated {
   vf at[LANES];         // at each pixel
   vf by_x[3], by_y[3];  // of the first three planes
+  vf of_face[4];        // OF_FACE
 };
 
 // face: (16) as `Surface` has them
@@ -300,12 +306,12 @@ JG_INLINE Interpolated interpolate(const DetailHand& hand, const int32_t* face, 
     const vf dx = x - f[X];
     alignas(64) float at[LANES];
     store(at, load(f) + (y - f[Y]) * load(f + BY_Y));
-    for (int k = NEAR; k <= (has_relief ? BEND : WHOLE); k++) out.at[k] = select(same, dx * by_x[k] + at[k], out.at[k]);
+    for (int k = NEAR; k <= (has_relief ? PART : WHOLE); k++) out.at[k] = select(same, dx * by_x[k] + at[k], out.at[k]);
     for (int k = NEAR; k <= V; k++) {
       out.by_x[k] = select(same, all(by_x[k]), out.by_x[k]);
       out.by_y[k] = select(same, all(f[BY_Y + k]), out.by_y[k]);
     }
-    if (has_relief) for (int k = UU; k <= VV; k++) out.at[k] = select(same, all(f[k]), out.at[k]);
+    if (has_relief) for (int k = 0; k < 4; k++) out.of_face[k] = select(same, all(f[OF_FACE[k]]), out.of_face[k]);
   }
   return out;
 }

@@ -22,7 +22,7 @@ class DetailHand(ctypes.Structure):
         *((name, _P) for name in ("planes", "bounds", "box", "texels")),
         *((name, _I32) for name in ("size_log2", "groups")),
         *((name, _F32) for name in ("facing", "depth", "fade_from", "fade_to", "strength", "exponent", "cap")),
-        *((name, _P) for name in ("learned", "normal", "nearest", "beside", "share", "bend", "slope")),
+        *((name, _P) for name in ("learned", "normal", "nearest", "beside", "share", "bend", "slope", "gloss")),
         ("rise", _F32),
         ("around", _P),
         ("side_share", _P),

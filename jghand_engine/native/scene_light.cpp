@@ -21,9 +21,9 @@ constexpr float FACING_SUM_MIN = 1e-9f;                   // of cosines to all d
 constexpr float CAUGHT_MIN = 0.01f;                       // of light among skin that throws back all, as a divisor
 constexpr float OPEN_MIN = 1e-12f;                        // W/m2 of the world, as a divisor
 constexpr float CORNER_MIN2 = CORNER_MIN * CORNER_MIN, CORNER_MAX2 = CORNER_MAX * CORNER_MAX;
-constexpr float LUMINANCE[3] = {0.2126f, 0.7152f, 0.0722f};  // Rec. 709
 constexpr float LIT_MIN = 1e-9f;                          // W/m2, as a divisor
 constexpr float GRAZED_MIN = 0.1f;                        // of light that faces skin, as a divisor: slopes stay steady
+constexpr float SHINE_MIN = 1e-9f;                        // W/(m2 sr), as a divisor
 constexpr int MATERIAL = 3, BAKED = 12;
 
 // mu above w, 0 below -w, smooth between (C1): light does not leak to the far side. Takes w^2.
@@ -162,6 +162,36 @@ JG_INLINE vf corner2_of(float softness, vf spread, vf sine2) {
 JG_INLINE vf slot_seen(const LearnedTask& t, const SceneLightTask& s, int32_t block, const float* lamp) {
   if (lamp[SLOT] < 0) return all(1.f);
   return load(s.skin_seen + LANES * ((int64_t)t.skin.blocks * (int)lamp[SLOT] + block));
+}
+
+// Skin that mirrors, towards the eye.
+struct Mirror {
+  vf alpha, reflectance, rise, facing, cosine_eye, eye[3];
+};
+
+JG_INLINE Mirror mirror_of(vf rough, vf reflectance, const vf normal[3], const vf eye[3]) {
+  const vf facing = dot(normal, eye);
+  return {rough * rough, reflectance, min(GRAZING_FROM * reflectance, all(1.f)), facing, max(facing, all(FACING_MIN)),
+          {eye[0], eye[1], eye[2]}};
+}
+
+// What it mirrors of a lamp: radiance over the lamp's rgb; and of the half vector, which is the sum of two unit ones over
+// a length that their angle says: the cosine to the normal, and that length; alpha^2, wider by the lamp.
+struct Mirrored {
+  vf shine, middle, shorter, wide2;
+};
+
+// towards: cosine between the normal and the lamp
+JG_INLINE Mirrored mirrored_lamp(const Mirror& m, const vf direction[3], vf towards, vf strength, vf sine2,
+                                 float length2_min) {
+  const vf cosine = clamped(towards), k = 0.5f * m.alpha;
+  const vf between = 1.f + dot(direction, m.eye), shorter = inverse_sqrt(max(2.f * between, all(length2_min)));
+  const vf middle = clamped((towards + m.facing) * shorter), grazing = 1.f - clamped(between * shorter);
+  const vf wide = min(m.alpha + 0.5f * quick_sqrt(sine2), all(1.f)), wide2 = wide * wide;
+  const vf bell = middle * middle * (wide2 - 1.f) + 1.f, square = grazing * grazing;
+  const vf fresnel = m.reflectance + (1.f - m.reflectance) * (m.rise * square * square * grazing);
+  const vf masked = max((cosine * (1.f - k) + k) * (m.cosine_eye * (1.f - k) + k), all(MASKED_MIN));
+  return {wide2 * fresnel * (cosine * strength) * inverse(4.f * PI * bell * bell * masked), middle, shorter, wide2};
 }
 
 // A block while it is lit.
@@ -482,8 +512,7 @@ void seen_block(const LearnedTask& t, int32_t block) {
   const SceneLightTask& s = *t.scene;
   const int64_t row = LANES * (int64_t)block;
   const float *matt = t.matt + MATT * row, *material = s.material + MATERIAL * row;
-  const vf rough = load(material + LANES), reflectance = load(material + 2 * LANES), alpha = rough * rough;
-  const vf rise = min(GRAZING_FROM * reflectance, all(1.f));
+  const vf rough = load(material + LANES), reflectance = load(material + 2 * LANES);
   vf p[3], n[3], eye[3], rgb[3], mirrored[3];
   load_triples(t.skin.position + 3 * row, p[0], p[1], p[2]);
   for (int i = 0; i < 3; i++) {
@@ -491,7 +520,8 @@ void seen_block(const LearnedTask& t, int32_t block) {
     eye[i] = t.eye[i] - p[i], p[i] -= t.skin.shift[i];
   }
   make_unit(eye, t.length2_min);
-  const vf facing = dot(n, eye), cosine_eye = max(facing, all(FACING_MIN)), k = 0.5f * alpha;
+  const Mirror skin = mirror_of(rough, reflectance, n, eye);
+  const vf facing = skin.facing, cosine_eye = skin.cosine_eye;
   const vf fade = seen_from_outside(t, row, facing);
   // of light that is drawn apart
   vf glossy[LAYERS_MAX][3], rows[LAYERS_MAX][LANES];
@@ -515,16 +545,9 @@ void seen_block(const LearnedTask& t, int32_t block) {
     if (!(lamp[ON_GLOSS] > 0)) continue;
     vf direction[3], strength, sine2;
     lamp_at(lamp, p, direction, strength, sine2);
-    const vf towards = dot(n, direction), cosine = clamped(towards), got = cosine * strength;
-    if (!bit_mask(got > 0)) continue;
-    // the half vector is the sum of two unit ones, whose angle says how long it is
-    const vf between = 1.f + dot(direction, eye), shorter = inverse_sqrt(max(2.f * between, all(t.length2_min)));
-    const vf middle = clamped((towards + facing) * shorter), grazing = 1.f - clamped(between * shorter);
-    const vf wide = min(alpha + 0.5f * quick_sqrt(sine2), all(1.f)), wide2 = wide * wide;
-    const vf bell = middle * middle * (wide2 - 1.f) + 1.f, square = grazing * grazing;
-    const vf fresnel = reflectance + (1.f - reflectance) * (rise * square * square * grazing);
-    const vf masked = max((cosine * (1.f - k) + k) * (cosine_eye * (1.f - k) + k), all(MASKED_MIN));
-    const vf open_shine = wide2 * fresnel * got * inverse(4.f * PI * bell * bell * masked);
+    const vf towards = dot(n, direction);
+    if (!bit_mask(clamped(towards) * strength > 0)) continue;
+    const vf open_shine = mirrored_lamp(skin, direction, towards, strength, sine2, t.length2_min).shine;
     const vf shine = open_shine * slot_seen(t, s, block, lamp);
     for (int i = 0; i < 3; i++) rgb[i] += shine * lamp[LAMP_RGB + i];
     const int layer = layer_of(s, (int)lamp[SLOT]);
@@ -541,7 +564,7 @@ void seen_block(const LearnedTask& t, int32_t block) {
     // how much of an even light GGX mirrors: Karis, "Physically Based Shading on Mobile", 2014
     const vf r0 = 1.f - rough, r1 = 0.0425f - 0.0275f * rough, r2 = 1.04f - 0.572f * rough, r3 = 0.022f * rough - 0.04f;
     const vf base = min(r0 * r0, exp2(-9.28f * cosine_eye)) * r0 + r1;
-    const vf gain = (reflectance * (r2 - 1.04f * base) + rise * (r3 + 1.04f * base)) * load(s.sky + row);
+    const vf gain = (reflectance * (r2 - 1.04f * base) + skin.rise * (r3 + 1.04f * base)) * load(s.sky + row);
     for (int i = 0; i < 3; i++) rgb[i] += lobes[i] * gain;
   }
   for (int slot = 0; s.layers && slot < s.slots; slot++) {
@@ -562,7 +585,7 @@ void seen_block(const LearnedTask& t, int32_t block) {
 }
 
 void light_slope(const LearnedTask& t, const int32_t* nearest, const int32_t* beside, const float* share, const vf p[3],
-                 const vf normal[3], vf slope[3]) {
+                 const vf normal[3], vf slope[3], GlossLobe* gloss) {
   const vf x = normal[0], y = normal[1], z = normal[2], xx = x * x, yy = y * y, zz = z * z;
   // of `harmonics`, by x, y and z
   const vf by_x[HARMONICS] = {vf{},          all(1.f), vf{}, vf{}, y, vf{}, z,           2.f * x, vf{}, 6.f * x * y, y * z,
@@ -587,34 +610,43 @@ void light_slope(const LearnedTask& t, const int32_t* nearest, const int32_t* be
   vf reached[COLUMNS_MAX], waves[HARMONICS], sum = {}, facing = {};
   const int columns = columns_of(s);
   for (int i = 0; i < columns; i += LANES) spread(nearest, share, s.reached + i, columns, reached + i);
-  const auto luminance = [](const auto* rgb) __attribute__((always_inline)) {
-    return LUMINANCE[0] * rgb[0] + LUMINANCE[1] * rgb[1] + LUMINANCE[2] * rgb[2];
-  };
-  for (int i = 0; i < 3; i++) slope[i] = vf{};
-  if (s.baked) {
-    vf field[BAKED] = {};
+  // of the Gaussians beside, `count` numbers in blocks
+  const auto mean_beside = [&](const float* blocks, int count, vf mean[]) __attribute__((always_inline)) {
     for (int k = 0; k < ANCHORS_AROUND; k++) {
       vi row;
       memcpy(&row, beside + LANES * k, sizeof row);
       const vf of_anchor = load(share + LANES * k);
-      const vi at = (row >> 4) * (BAKED * LANES) + (row & (LANES - 1));
-      for (int i = 0; i < BAKED; i++) field[i] += of_anchor * gather(s.baked + LANES * i, at);
+      const vi at = (row >> 4) * (count * LANES) + (row & (LANES - 1));
+      for (int i = 0; i < count; i++) mean[i] += of_anchor * gather(blocks + LANES * i, at);
     }
+  };
+  for (int i = 0; i < 3; i++) slope[i] = vf{};
+  if (s.baked) {
+    vf field[BAKED] = {};
+    mean_beside(s.baked, BAKED, field);
     for (int a = 0; a < 3; a++) slope[a] = luminance(field + 3 * (a + 1));
-    const vf all_around = luminance(field), inverse = 1.f / max(all_around + dot(slope, normal),
-                                                                max(GRAZED_MIN * (all_around + sqrt(dot(slope, slope))), all(LIT_MIN)));
-    for (int i = 0; i < 3; i++) slope[i] *= inverse;
-    return;
+    const vf all_around = luminance(field);
+    sum = all_around + dot(slope, normal), facing = all_around + sqrt(dot(slope, slope));
+  } else {
+    const vf part = luminance(reached);
+    harmonics(normal, waves);
+    for (int k = 0; k < HARMONICS; k++) {
+      const vf lit = part * luminance(s.irradiance + 3 * k);
+      sum += lit * waves[k], slope[0] += lit * by_x[k], slope[1] += lit * by_y[k], slope[2] += lit * by_z[k];
+    }
+    sum = max(sum, part * luminance(s.least)) + luminance(reached + OF_BOUNCED);
+    // what comes from all around has no more of it along the normal
+    along_skin();
   }
-  const vf part = luminance(reached);
-  harmonics(normal, waves);
-  for (int k = 0; k < HARMONICS; k++) {
-    const vf lit = part * luminance(s.irradiance + 3 * k);
-    sum += lit * waves[k], slope[0] += lit * by_x[k], slope[1] += lit * by_y[k], slope[2] += lit * by_z[k];
+  Mirror skin;
+  vf shine = {}, over_bell = {}, way[3] = {}, reflecting[3] = {};
+  if (gloss) {
+    vf material[MATERIAL] = {}, eye[3];
+    mean_beside(s.material, MATERIAL, material), mean_beside(s.reflecting, 3, reflecting);
+    for (int i = 0; i < 3; i++) eye[i] = t.eye[i] - t.skin.shift[i] - p[i];
+    make_unit(eye, t.length2_min);
+    skin = mirror_of(material[1], material[2], normal, eye);
   }
-  sum = max(sum, part * luminance(s.least)) + luminance(reached + OF_BOUNCED);
-  // what comes from all around has no more of it along the normal
-  along_skin();
   for (int j = 0; j < s.lamps; j++) {
     const float* lamp = s.lamp + LAMP * j;
     const int slot = (int)lamp[SLOT];
@@ -624,14 +656,30 @@ void light_slope(const LearnedTask& t, const int32_t* nearest, const int32_t* be
       const vf* of_slot = reached + OF_WORLD + columns_per_slot(s) * slot;
       strength *= 1.f - lamp[SHADE] * (1.f - (s.left ? of_slot[0] * of_slot[2] : of_slot[0]));
     }
-    strength *= luminance(lamp + LAMP_RGB) * lamp[ON_MATT];
-    const vf cosine = dot(normal, direction), corner2 = corner2_of(s.softness[1], all(1.f), sine2);
+    strength *= luminance(lamp + LAMP_RGB);
+    const vf cosine = dot(normal, direction);
+    if (gloss && lamp[ON_GLOSS] > 0) {
+      const Mirrored own = mirrored_lamp(skin, direction, cosine, strength, sine2, t.length2_min);
+      const vf square = own.middle * own.middle, counts = own.shine * inverse(1.f + square * (own.wide2 - 1.f));
+      shine += own.shine, over_bell += counts;
+      for (int i = 0; i < 3; i++)
+        way[i] += counts * ((direction[i] + skin.eye[i]) * own.shorter - own.middle * normal[i]);
+    }
+    strength *= lamp[ON_MATT];
+    const vf corner2 = corner2_of(s.softness[1], all(1.f), sine2);
     const vf corner = sqrt(corner2), falls = strength * clamped((cosine + corner) / (2.f * corner));
     sum += strength * soft_cosine(cosine, corner2), facing += strength;
     for (int i = 0; i < 3; i++) slope[i] += falls * direction[i];
   }
   const vf inverse = 1.f / max(sum, max(GRAZED_MIN * facing, all(LIT_MIN)));
   for (int i = 0; i < 3; i++) slope[i] *= inverse;
+  if (!gloss) return;
+  // of several lamps the lobe whose logarithm changes as that of their sum does
+  const vf over = 1.f / max(over_bell, all(SHINE_MIN));
+  vf way2 = {};
+  for (int i = 0; i < 3; i++) gloss->way[i] = over * way[i], way2 += gloss->way[i] * gloss->way[i];
+  gloss->width2 = max(shine * over - way2, all(WIDTH2_MIN));
+  gloss->part = select(skin.facing > 0, shine / max(shine + luminance(reflecting) * sum, all(LIT_MIN)), vf{});
 }
 
 }  // namespace jg

@@ -36,6 +36,8 @@ constexpr int SWEPT = 64, SWEEPS = 16;  // directions along which thrown light i
 constexpr int AGAIN_STEP = 2;           // every second of them says what is thrown again
 static_assert(SWEPT % SWEEPS == 0 && SWEPT / SWEEPS % AGAIN_STEP == 0, "every item has as many directions");
 constexpr int OF_BOUNCED = 3, OF_SKY = 6;  // in a row of `reached`
+constexpr float LUMINANCE[3] = {0.2126f, 0.7152f, 0.0722f};  // Rec. 709
+constexpr float WIDTH2_MIN = 1e-3f;     // of a lobe of gloss, as a divisor: that of a roughness of 0.18
 constexpr float FACED_MIN = 1e-6f;      // part of all that a point faces, as a divisor
 constexpr float FACED_PART_MIN = 0.25f; // of what is hidden, skin is taken to be: no more is made of little
 enum LampKind { SUN = 0, POINT = 1, SPOT = 2, AREA = 3 };
@@ -97,6 +99,11 @@ struct SceneLightTask {
 // with wide edges and, where things of the scene stand in the light, what these leave
 constexpr int OF_WORLD = 7, OF_SLOT_MAX = 3, COLUMNS_MAX = (OF_WORLD + OF_SLOT_MAX * SLOTS_MAX + LANES - 1) / LANES * LANES;
 
+template <typename Number>
+JG_INLINE Number luminance(const Number rgb[3]) {
+  return LUMINANCE[0] * rgb[0] + LUMINANCE[1] * rgb[1] + LUMINANCE[2] * rgb[2];
+}
+
 JG_INLINE int columns_per_slot(const SceneLightTask& s) { return s.left ? OF_SLOT_MAX : OF_SLOT_MAX - 1; }
 
 // Of a row of what anchors say; whole vectors.
@@ -130,10 +137,19 @@ void light_blocks(const LearnedTask& t, int32_t first, int32_t end);
 // What a block sends to the eye.
 void seen_block(const LearnedTask& t, int32_t block);
 
+// What skin mirrors of all lamps, as one lobe of GGX: of a normal that leans by d along the skin it is `part` times
+// ((width2 + |way|^2) / (width2 + |way - d|^2))^2.
+struct GlossLobe {
+  vf way[3];   // along the skin, how a normal leans that mirrors the most
+  vf width2;
+  vf part;     // 0..1 of the color
+};
+
 // How the light of skin at sixteen posed places p, root-relative, changes with its unit normal: per unit of a change,
 // over the light itself, without color. nearest, share: (ANCHORS_AROUND, 16) of the anchors around them; beside: rows of
-// the Gaussians at these. Of a hand in the light that it was learned in, of its colors.
+// the Gaussians at these. Of a hand in the light that it was learned in, of its colors. gloss: null, or of a hand in the
+// light of a scene what the eye sees of its lamps
 void light_slope(const LearnedTask& t, const int32_t* nearest, const int32_t* beside, const float* share, const vf p[3],
-                 const vf normal[3], vf slope[3]);
+                 const vf normal[3], vf slope[3], GlossLobe* gloss);
 
 }  // namespace jg

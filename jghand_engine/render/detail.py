@@ -315,6 +315,7 @@ class _Hand:
                 "share": blocks.blocked(hand.light.share),
                 "bend": aligned_zeros((blocks.rows,)),
                 "slope": aligned_zeros((4, blocks.rows)),
+                "gloss": aligned_zeros((5, blocks.rows)),
             }
             self.task.learned = ctypes.addressof(hand.light.task)
         set_pointers(self.task, self._arrays)
@@ -364,7 +365,7 @@ class _Hand:
         sides = Blocks(np.argsort(self.row_of_vertex[parted.around[:, 0]]))
         in_sides = (sides.count, LANES, AROUND_SIDE)
         around = sides.in_rows(self.row_of_vertex[parted.around], np.int32).reshape(in_sides)
-        for name in self._arrays.keys() & {"vertex", "whole", "turned", "bend", "slope"}:
+        for name in self._arrays.keys() & {"vertex", "whole", "turned", "bend", "slope", "gloss"}:
             before = self._arrays[name]
             self._arrays[name] = aligned_zeros((*before.shape[:-1], rows + sides.rows))
             self._arrays[name][..., :rows] = before

@@ -65,8 +65,8 @@ def camera(*, orthographic: bool = False) -> Camera:
     return replace(seen, fx=600.0, fy=620.0, orthographic=True) if orthographic else seen
 
 
-def sun(*towards: float) -> SceneLight:
-    return SceneLight(lamps=(Lamp(LampKind.SUN, (3.0, 3.0, 3.0), towards, has_shadow=False),))
+def sun(*towards: float, on_gloss: bool = False) -> SceneLight:
+    return SceneLight(lamps=(Lamp(LampKind.SUN, (3.0, 3.0, 3.0), towards, has_shadow=False, on_gloss=on_gloss),))
 
 
 def drawn(avatar: HandAvatar, light: SceneLight | None, name: str = "open", seen: Camera | None = None) -> Frame:
@@ -150,6 +150,22 @@ def test_the_kernel_makes_of_light_what_the_specification_says(handedness, name,
     assert np.median(error) < 4e-5
     assert np.percentile(error, 99) < 0.01
     assert light[looked_at].std() > 0.02
+
+
+def test_what_is_mirrored_changes_with_the_slope_and_is_white():
+    (matt, rough), (plain, glossy) = (
+        [drawn(hand(kind), sun(0.1, 0.25, 0.9, on_gloss=on_gloss)).rgba for kind in ("", "bumps")]
+        for on_gloss in (False, True)
+    )
+    mirrored, looked_at = plain - matt, (plain[..., 3] > 0.99) & (plain[..., 1] > 0.05)
+    change = (glossy - rough - mirrored * (rough / np.where(looked_at[..., None], matt, 1)))[looked_at][:, :3]
+    assert looked_at.sum() > 1000
+    # what the relief makes of matt skin has the skin's color, what is added to it has none
+    assert np.abs(change - change.mean(1, keepdims=True)).max() < 0.1 * np.abs(change).max()
+    # by a third of what smooth skin mirrors, and more, both ways
+    share = change[:, 1] / mirrored[looked_at][:, 1].mean()
+    assert np.percentile(share, 5) < -0.3
+    assert np.percentile(share, 95) > 0.3
 
 
 @pytest.mark.parametrize("variant", native_library.runnable_variants())
@@ -239,6 +255,73 @@ def test_the_slope_of_light_is_what_skin_that_turns_gets_more_of_it(light):
     found = drawn._arrays["slope"][:, drawn.row_of_vertex]
     # observed: 3.2e-6 of the largest
     assert np.abs(found - np.append(turned.T, along[None], 0)).max() < 5e-6 * np.abs(turned).max()
+
+
+# lamps before the hand
+MIRRORED = (
+    Lamp(LampKind.SUN, (3, 3, 3), (0.1, 0.25, 0.9), has_shadow=False),
+    Lamp(LampKind.SUN, (1, 2, 3), (-0.4, 0.1, 0.9), angle_rad=0.1, has_shadow=False),
+    Lamp(LampKind.POINT, (0.3, 0.3, 0.1), (0.2, 0.2, 0.4), radius_m=0.03, has_shadow=False),
+)
+
+
+def lobes_of_gloss(light: SceneLight, seen: Camera):
+    """Of a hand that is equally rough everywhere, what the kernel says of vertices, and what training computes there.
+
+    -> way (V, 3) in the world's axes, width2 (V,), part (V,); (V,) luminance towards the camera by normals (V, 3); the
+    surface's own
+    """
+    avatar = hand("bumps")
+    even = {
+        name: np.full(len(avatar), value, np.float32) for name, value in (("roughness", 0.45), ("reflectance", 0.03))
+    }
+    response = replace(avatar.learned.response, **even)
+    avatar, joints_m = replace(avatar, learned=replace(avatar.learned, response=response)), pose("open")
+    renderer = SceneRenderer([avatar], DRAWN, light)
+    renderer.render([joints_m], seen)
+    assert renderer._backend._detail is not None
+    step, found = renderer._backend._hands[0]._light._scene, renderer._backend._detail._hands[0]
+    gloss = found._arrays["gloss"][:, found.row_of_vertex].astype(np.float64)
+    bones = avatar.skeleton().bones(joints_m)
+    maps = np.einsum("vb,bij->vij", DetailedHand.of(avatar, 1.0).weights, bones.linear_offset)[..., :3]
+    normal = unit(torch.from_numpy(np.einsum("vij,vj->vi", maps, avatar.detail.normals)))
+    place_m = torch.from_numpy(posed_surface(avatar, joints_m)[0] - bones.root_m)
+    rows = step.arrays["lamp"][: step.task.lamps].astype(np.float64)
+    lamps = torch_light.LampRows(np.zeros(len(rows) + 1), rows, rows[:0])
+    count, nothing = len(place_m), torch.zeros(len(place_m), 3)
+    here = replace(response, **{name: array[:1].repeat(count) for name, array in even.items()})
+    got = torch_light.Reached(nothing, nothing, nothing[:, 0], torch.ones(0, count))
+
+    def mirrored(leaning: torch.Tensor) -> np.ndarray:
+        skin = torch_light.Skin(place_m, leaning)
+        eye_m = torch.from_numpy(seen.eye_m - bones.root_m)
+        of_eye = torch_light.towards_eye(
+            nothing.double(), skin, eye_m, got, replace(light, world=None), lamps, torch_light.ResponseTensors.of(here)
+        )
+        return luminance(of_eye).numpy()
+
+    return gloss[:3].T @ seen.camera_from_world[:3, :3], gloss[3], gloss[4], mirrored, normal
+
+
+@pytest.mark.parametrize(
+    ("lamps", "lean"),
+    [(MIRRORED[:1], 0.15), (MIRRORED, 0.02)],
+    ids=["of one lamp far", "of three lamps near"],
+)
+def test_the_lobe_of_gloss_is_what_leaning_skin_mirrors(lamps, lean):
+    """Of one lamp wherever a normal points; of many as they change together at the skin's."""
+    way, width2, part, mirrored, normal = lobes_of_gloss(SceneLight(None, lamps), camera())
+    before = mirrored(normal)
+    glossy = (part > 0.05) & (before > 0)
+    assert glossy.sum() > 300
+    for axis in np.eye(3):
+        turned = lean * unit(torch.linalg.cross(normal, torch.from_numpy(axis).expand_as(normal)))
+        wanted = mirrored(unit(normal + turned))[glossy] / before[glossy]
+        to_way = (way**2).sum(1), ((way - turned.numpy()) ** 2).sum(1)
+        came = (((width2 + to_way[0]) / (width2 + to_way[1])) ** 2)[glossy]
+        # observed: 0.989 to 0.9998; 1.05 to 1.12, as skin that leans to a lamp leans from the eye, which masks it
+        assert np.corrcoef(came, wanted)[0, 1] > 0.985
+        assert 1.03 < np.polyfit(wanted - 1, came - 1, 1)[0] < 1.14
 
 
 # ---- what it does ----------------------------------------------------------------------------------------------------
