@@ -16,6 +16,9 @@ from jghand_engine.hand.rotations import unit
 
 # of a stored height: the finest that shading shows, where 127 of them are half a millimeter
 HEIGHT_STEP_M = 4e-6
+# a rise is the sum of differences of heights so many texels to both sides, times these: of fourth order, as neighbors
+# alone make a wave of four texels a third flatter
+RISES = {1: 2 / 3, 2: -1 / 12}
 # by which part of itself light on a pixel changes at most (native/detail.cpp)
 LIGHT_CHANGE_MAX = 1.5
 # largest step of a slope, a byte
@@ -46,10 +49,13 @@ class Relief:
         height_m = np.where(skin, height * np.float32(HEIGHT_STEP_M), np.float32(0))[..., None]
         # at its edge skin goes on as high
         with_rings(height_m, skin)
-        padded, half = np.pad(height_m[..., 0], 1, mode="edge"), np.float32(len(height) / 2)
-        rise_m = np.stack([padded[1:-1, 2:] - padded[1:-1, :-2], padded[2:, 1:-1] - padded[:-2, 1:-1]], -1)
+        padded, size = np.pad(height_m[..., 0], 2, mode="edge"), len(height)
+        rise_m = np.zeros((size, size, 2), np.float32)
+        for apart, share in RISES.items():
+            near, far = slice(2 - apart, 2 - apart + size), slice(2 + apart, 2 + apart + size)
+            rise_m[..., 0] += np.float32(share * size) * (padded[2:-2, far] - padded[2:-2, near])
+            rise_m[..., 1] += np.float32(share * size) * (padded[far, 2:-2] - padded[near, 2:-2])
         rise_m[~skin] = 0
-        rise_m *= half
         return rise_m
 
     def slopes(self, skin: np.ndarray) -> Slopes:

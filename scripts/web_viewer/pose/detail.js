@@ -78,14 +78,17 @@ function rises(packed, size, steps) {
   const heights = [0, 1].map((k) => new Int8Array(packed.slice(k * plane, (k + 1) * plane).buffer));
   heights.forEach((height) => { for (let i = size; i < plane; i++) height[i] += height[i - size]; });
   const [straight, bent] = heights, last = size - 1;
+  // RISES of jghand_engine/avatar/relief.py, over 1 / 2
+  const rise = (height, i, step, place) => {
+    const apart = (k) => height[i + step * Math.min(k, last - place)] - height[i - step * Math.min(k, place)];
+    return (8 * apart(1) - apart(2)) / 6;
+  };
   for (let i = 0; i < plane; i++) bent[i] += straight[i];
   heights.forEach((height, k) => {
     for (let row = 0, i = 0; row < size; row++)
       for (let column = 0; column < size; column++, i++) {
-        const along = height[i + (column < last)] - height[i - (column > 0)];
-        const down = height[i + (row < last) * size] - height[i - (row > 0) * size];
-        rgba[4 * i + 2 * k] = 128 + byte(steps * along);
-        rgba[4 * i + 2 * k + 1] = 128 + byte(steps * down);
+        rgba[4 * i + 2 * k] = 128 + byte(steps * rise(height, i, 1, column));
+        rgba[4 * i + 2 * k + 1] = 128 + byte(steps * rise(height, i, size, row));
       }
   });
   return rgba;
