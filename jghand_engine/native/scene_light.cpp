@@ -678,7 +678,8 @@ void light_slope(const LearnedTask& t, const int32_t* nearest, const int32_t* be
   const vf over = 1.f / max(over_bell, all(SHINE_MIN));
   vf way2 = {};
   for (int i = 0; i < 3; i++) gloss->way[i] = over * way[i], way2 += gloss->way[i] * gloss->way[i];
-  gloss->width2 = max(shine * over - way2, all(WIDTH2_MIN));
+  // beside skin that mirrors no lamp it is wide: what lies between changes little
+  gloss->width2 = select(over_bell > SHINE_MIN, max(shine * over - way2, all(WIDTH2_MIN)), all(1.f));
   gloss->part = select(skin.facing > 0, shine / max(shine + luminance(reflecting) * sum, all(LIT_MIN)), vf{});
 }
 
