@@ -108,9 +108,10 @@ def as_person(avatar: HandAvatar, own: Somebody, other: Somebody) -> HandAvatar:
     rgb = np.where(after == before, avatar.rgb, rgb)
     even = _with_even_skin(avatar, learned, _response(learned.response, own, other, uv))
     shaped = other_shape(replace(avatar, rgb=rgb, learned=even), own, other)
-    assert even.response is not None
-    response = replace(even.response, bounce=thrown_back(shaped, rgb))
-    return replace(shaped, learned=replace(even, response=response), own_joints_m=other.identity.joints_m)
+    assert shaped.learned is not None
+    assert shaped.learned.response is not None
+    response = replace(shaped.learned.response, bounce=thrown_back(shaped, rgb))
+    return replace(shaped, learned=replace(shaped.learned, response=response), own_joints_m=other.identity.joints_m)
 
 
 def other_shape(avatar: HandAvatar, own: Somebody, other: Somebody) -> HandAvatar:
