@@ -46,6 +46,10 @@ FOREARM_FROM_TO, FOREARM_SIDE, FOREARM_SIDES = (-7.0, -22.0), -0.55, 0.4
 FURROW_EXPONENT = 1.35
 # ages of a child, of the usual person and of an old one
 AGES = (0.0, Person.age, 1.0)
+# age from which skin has nothing of a child's any more, and that from which it has something of an old person's
+GROWN, AGING = 0.2, 0.5
+# the part of a grown person's lines that a child has, and over which part of them they become fainter
+OF_A_CHILD, FAINTER = 0.35, 0.5
 # narrower marks are widened to this part of a texel and made as much weaker: thinner ones would break up into dots
 NARROWEST_TEXELS = 0.6
 
@@ -203,6 +207,17 @@ class Canvas:
     def by_age(self, child: float, usual: float, old: float) -> float:
         """What has these values at AGES."""
         return float(np.interp(self.person.age, AGES, (child, usual, old)))
+
+    @property
+    def aged(self) -> float:
+        """0..1 how far skin is thin and loose, and flesh has gone."""
+        return float(np.interp(self.person.age, (AGING, 1.0), (0.0, 1.0)))
+
+    def present(self, rank: float) -> float:
+        """0..1 how deep a line is at this age, beside a grown person's; rank: 0 the first of its kind that a child
+        has, 1 the last that comes with the years."""
+        have = np.interp(self.person.age, (0.0, GROWN), (OF_A_CHILD, 1 + FAINTER))
+        return float(np.clip((have - rank) / FAINTER, 0, 1))
 
     @cached_property
     def side(self) -> np.ndarray:

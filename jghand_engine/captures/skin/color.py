@@ -48,6 +48,8 @@ DRY, DRY_RGB = 0.035, np.array([1.0, 0.96, 0.90])
 BED_MELANIN, DARK_BED_MELANIN = 0.30, 0.36
 # moons and free edges cover the bed in part, of dark skin less, or they would be white there
 MOON_SHOWS, LESS_OF_MOON, FREE_EDGE_SHOWS, LESS_OF_FREE_EDGE = 0.55, 0.20, 0.85, 0.25
+# how much stronger streaks of an old nail are, and how much yellower and rougher it is
+OLD_STREAKS, OLD_YELLOW, OLD_ROUGH = 0.03, 0.20, 0.10
 MOON_RGB, FREE_EDGE_RGB = np.array([0.74, 0.60, 0.54]), np.array([0.78, 0.73, 0.64])
 # behind the wrist, where the color of a pale palm ends, and how far from that it does, here and there
 PALE_FROM_TO_MM, PALE_UNEVEN_MM = (8.0, -62.0), 1.5
@@ -82,7 +84,7 @@ def paint_roughness(canvas: Canvas) -> np.ndarray:
     dryness, of = canvas.person.dryness, canvas.amounts
     rough = 0.50 + 0.10 * dryness - 0.05 * canvas.palm + 0.05 * canvas.noise("roughness", 2.0)
     rough += 0.10 * of["network"] - 0.06 * of["knuckle"]
-    rough += of["plate"] * (0.24 + 0.08 * dryness + 0.12 * of["free_edge"] - rough)
+    rough += of["plate"] * (0.24 + 0.08 * dryness + OLD_ROUGH * canvas.aged + 0.12 * of["free_edge"] - rough)
     return rough.clip(*ROUGHNESS_LIMITS)
 
 
@@ -139,9 +141,9 @@ def _nails(canvas: Canvas) -> np.ndarray:
     person, of, (x, y) = canvas.person, canvas.amounts, canvas.nail_xy.T
     dark = smoothstep(*DARK, person.melanin)
     melanin = person.melanin * (BED_MELANIN + dark * (DARK_BED_MELANIN - BED_MELANIN))
-    bed = reflectance(*np.array([melanin, 0.30 + 0.55 * person.blood, 0.25 * person.warmth]))
+    bed = reflectance(*np.array([melanin, 0.30 + 0.55 * person.blood, 0.25 * person.warmth + OLD_YELLOW * canvas.aged]))
     flat = np.stack([6 * y, 0.7 * x, np.zeros_like(x)], 1)
-    streaks = 1 + 0.04 * noise(flat, 0.8, canvas.seed("nail streaks"))
+    streaks = 1 + (0.04 + OLD_STREAKS * canvas.aged) * noise(flat, 0.8, canvas.seed("nail streaks"))
     rgb = bed * (streaks * (1 + 0.06 * smoothstep(0.2, 0.95, x)))[:, None]
     for name, color, part in (
         ("moon", MOON_RGB * (1 - 0.45 * min(1.0, person.melanin)), MOON_SHOWS - LESS_OF_MOON * dark),

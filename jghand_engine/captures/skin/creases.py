@@ -101,16 +101,18 @@ class _Finger:
         rng, size = self._random, self._size
         along, across, palmar = self._canvas.hinge(joint).of(self._points)
         arc = np.arctan2(across, palmar) * AROUND_PALM * size
+        deepest = max(depth for _, _, depth in lines.folds)
         for place, width, depth in lines.folds:
             middle = place * size + rng.normal(0, 0.25)
             x = along - middle - rng.normal(0, 0.03) * arc + rng.uniform(0.002, 0.007) * arc**2
             half = rng.uniform(0.75, 1.1) * size * (13.5 if depth > 0.4 else 8.0)
-            self._fold(x, width, depth, smoothstep(1.0, 0.72, np.abs(arc) / half))
+            present = self._canvas.present(1 - depth / deepest)
+            self._fold(x, width, present * depth, smoothstep(1.0, 0.72, np.abs(arc) / half))
         count, width, depth, tilts = HATCHING
-        for _ in range(count):
+        for rank in np.linspace(0, 1, count):
             x = along - rng.normal(0, 3.2) * size - rng.normal(0, tilts) * arc + 0.5 * self._wobble + 1.5 * self._fine
             ends = smoothstep(1, 0.4, np.abs(arc - rng.uniform(-7, 7)) / rng.uniform(2.5, 6))
-            line = self._canvas.furrow(x, width) * ends * self._palm
+            line = self._canvas.present(rank) * self._canvas.furrow(x, width) * ends * self._palm
             self._canvas.raise_by("fold", -depth * self._canvas.deep * line, self._on)
             self._canvas.mark("crease", 0.30 * line, self._on)
 
@@ -120,10 +122,11 @@ class _Finger:
         along, across, palmar = self._canvas.knuckle(finger).of(self._points)
         arc = np.arctan2(across, palmar) * AROUND_ROOT * self._size
         near = smoothstep(0.25, 0.6, self._canvas.fingers[self._on, finger])
-        for part, width, depth in ROOT_INNER if finger in (2, 3) else ROOT_OUTER:
+        for rank, (part, width, depth) in enumerate(ROOT_INNER if finger in (2, 3) else ROOT_OUTER):
             middle = part * self._canvas.length[6 + finger] + rng.normal(0, 0.3)
             x = along - middle + 0.004 * arc**2 - rng.normal(0, 0.03) * arc
-            self._fold(x, width, depth, near * smoothstep(1, 0.7, np.abs(arc) / (14 * self._size)))
+            ends = near * smoothstep(1, 0.7, np.abs(arc) / (14 * self._size))
+            self._fold(x, width, self._canvas.present(rank) * depth, ends)
 
     def _fold(self, x: np.ndarray, width: float, depth: float, ends: np.ndarray) -> None:
         canvas, ends = self._canvas, ends * self._palm
@@ -150,17 +153,17 @@ class _Finger:
             half = (7.5 * strong + 2.5) * size * rng.uniform(0.8, 1.1)
             x = along - place - bow * (arc - middle) ** 2 - tilt * arc + 0.8 * self._wobble + 1.7 * self._fine
             ends = smoothstep(1.0, 0.45, np.abs(arc - middle) / half) * self._back
-            line = canvas.furrow(x, 0.24 + 0.12 * strong) * ends * self._gaps
+            line = canvas.present(row**2) * canvas.furrow(x, 0.24 + 0.12 * strong) * ends * self._gaps
             part, beside, width = WRINKLE_LIP
             lip = part * gauss(np.abs(x) - beside, width) * ends
             canvas.raise_by("straight", lines.depth * strong * (lip - canvas.deep * line), on)
             canvas.mark("wrinkle", line * strong * strength**0.5, on)
         each, width, depth, tilts = CROSSING
-        for _ in range(each * lines.rows):
+        for rank in np.linspace(0, 1, each * lines.rows):
             place, tilt, middle = rng.normal(0, 0.55) * reach, rng.normal(0, tilts), rng.uniform(-6, 6) * size
             x = along - place - tilt * (arc - middle) + 0.8 * self._wobble + 2 * self._fine
             ends = smoothstep(1, 0.3, np.abs(arc - middle) / (rng.uniform(1.5, 4.0) * size))
-            line = canvas.furrow(x, width) * ends * self._back
+            line = canvas.present(rank) * canvas.furrow(x, width) * ends * self._back
             canvas.raise_by("straight", -depth * canvas.deep * line, on)
             canvas.mark("wrinkle", 0.4 * line, on)
         canvas.mark("knuckle", gauss(along, 5.0 * size) * gauss(arc, 6.0 * size) * self._back, on)
@@ -175,31 +178,36 @@ def _knuckle_lines(canvas: Canvas, finger: int) -> None:
     along, across = along[on], across[on]
     fade = gauss(np.hypot(along, 0.8 * across), 6.5 * canvas.size) * canvas.back[on]
     wobble = canvas.wobble[on] + 0.2 * canvas.noise("knuckle", 1.4, on)
-    for _ in range(count):
+    for rank in np.linspace(0, 1, count):
         place, tilt = rng.normal(0, 5), rng.normal(0, 0.18)
         x = along - place - tilt * across + 0.012 * np.sign(place) * across**2 + wobble
         ends = smoothstep(1, 0.3, np.abs(across - rng.normal(0, 3)) / rng.uniform(3, 7))
-        line = canvas.furrow(x, width) * ends * fade
+        line = canvas.present(rank) * canvas.furrow(x, width) * ends * fade
         canvas.raise_by("straight", -depth * canvas.deep * line, on)
         canvas.mark("wrinkle", 0.5 * line, on)
 
 
 @dataclass(frozen=True)
 class _Curve:
-    """knots (K, 2) mm, half width, depth; jitter: how far this person's knots depart from them."""
+    """knots (K, 2) mm, half width, depth; jitter: how far this person's knots depart from them; rank: see
+    Canvas.present."""
 
     knots: np.ndarray
     width: float
     depth: float
     jitter: float
+    rank: float = 0.0
 
 
 def _curves(rng: np.random.Generator) -> list[_Curve]:
     """All lines of a palm, as far as they are the same in all: the rest is jitter."""
     main = (HEART, HEAD, LIFE)
     curves = [_Curve(np.array(knots, float), width, depth, 0.9) for knots, width, depth in (*main, FATE, *BRACELETS)]
-    curves += [_Curve(np.array(knots, float), MINOR_WIDTH, MINOR_DEPTH, 1.6) for knots in MINOR_LINES]
-    for _ in range(FINE_LINES):
+    curves += [
+        _Curve(np.array(knots, float), MINOR_WIDTH, MINOR_DEPTH, 1.6, rank)
+        for rank, knots in zip(np.linspace(0, 1, len(MINOR_LINES)), MINOR_LINES, strict=True)
+    ]
+    for rank in np.linspace(0, 1, FINE_LINES):
         x, y = rng.uniform(-40, 34), rng.uniform(4, 88)
         # along the life line on the thenar, across below the fingers, oblique elsewhere
         angle = np.radians(rng.normal(115 if x > 8 and y < 62 else 20 if y > 60 else 70, 28))
@@ -207,16 +215,16 @@ def _curves(rng: np.random.Generator) -> list[_Curve]:
         bow = rng.normal(0, 0.12) * np.array([-half[1], half[0]])
         middle = np.array([x, y])
         knots = np.stack([middle - half, middle + bow, middle + half])
-        curves.append(_Curve(knots, rng.uniform(0.09, 0.15), rng.uniform(0.05, 0.13), 1.2))
+        curves.append(_Curve(knots, rng.uniform(0.09, 0.15), rng.uniform(0.05, 0.13), 1.2, rank))
     for points, _, _ in main:
         knots = np.array(points, float)
-        for start in rng.integers(1, len(knots) - 1, STRANDS):
+        for rank, start in zip(np.linspace(0, 1, STRANDS), rng.integers(1, len(knots) - 1, STRANDS), strict=True):
             way = knots[start + 1] - knots[start]
             way /= np.linalg.norm(way)
             away = rng.choice((-1, 1)) * np.array([-way[1], way[0]])
             length = rng.uniform(5, 12)
             strand = np.array([-way, length * (0.5 * way + 0.12 * away), length * (way + 0.4 * away)])
-            curves.append(_Curve(knots[start] + strand, 0.16, 0.15, 0.8))
+            curves.append(_Curve(knots[start] + strand, 0.16, 0.15, 0.8, rank))
     return curves
 
 
@@ -229,7 +237,7 @@ def _palm_lines(canvas: Canvas, curves: PalmCurves) -> None:
     for curve in _curves(rng):
         on, distance, part = curves.near(curve.knots + rng.normal(0, curve.jitter, curve.knots.shape))
         taper = 0.30 + 0.70 * smoothstep(0, 0.10, part) * smoothstep(1, 0.72, part)
-        seen = on_palm[on] * taper * smoothstep(0, 0.02, part) * smoothstep(1, 0.97, part)
+        seen = canvas.present(curve.rank) * on_palm[on] * taper * smoothstep(0, 0.02, part) * smoothstep(1, 0.97, part)
         width = curve.width * (0.55 + 0.45 * taper) * (1 + 0.28 * breadth[on])
         line = canvas.furrow(distance, np.maximum(width, 0.25 * curve.width)) * seen * gaps[on]
         height = -curve.depth * deep * line

@@ -1,4 +1,5 @@
-"""What lies below the skin and shapes it: pads, bones at the joints, knuckles, tendons, veins, the mounts of the palm.
+"""What lies below the skin and shapes it: pads, bones at the joints, knuckles, tendons and what is sunk between them,
+veins, the mounts of the palm.
 
 Heights and widths are millimeters on a hand of usual size.
 """
@@ -14,6 +15,9 @@ from jghand_engine.captures.skin.noise import gauss, smoothstep
 # pads of the phalanges' palm side, from the first: height, where along the bone, half length; and their half breadth
 PADS = ((0.75, 0.62, 5.5), (0.60, 0.50, 4.2), (0.95, 0.50, 5.2))
 PAD_BREADTH, WAIST_OF_BACK, PAD_END = 6.0, 0.28, 0.55
+# of an old person: how much lower pads are, how far the shafts of phalanges sink all around, from the first, and how
+# much thicker the bones at their ends are
+FLATTER, SUNK, THICKER = 0.6, (1.0, 0.8, 0.3), 0.5
 # bones at the middle and last joints: height on the back, on the flanks, half length
 BONES = ((0.55, 0.50, 4.2), (0.30, 0.32, 3.2))
 # a bent joint shows the two heads of its bone, this far to each side, and the flat between them
@@ -21,6 +25,10 @@ CONDYLES, CONDYLES_APART, BENT_JOINT = 0.55, 3.0, 0.35
 # heads of the metacarpals: straight, and how much more when the finger bends; dips between them
 KNUCKLE, KNUCKLE_BENT, KNUCKLE_WIDTH = 0.85, 1.9, 5.0
 DIP, DIP_WIDTH = 0.95, 3.6
+# of an old person: how far the back sinks between two metacarpals, and between those of thumb and index; widths
+HOLLOWS, WEB_HOLLOW = (1.4, 3.8), (2.2, 9.0)
+# how far aside on the wrist, as a part of how far on the knuckles, what fans out to them begins
+ASIDE = 0.30
 # extensor tendons of index to pinky
 TENDONS, TENDON_WIDTH = (0.50, 0.60, 0.52, 0.36), 1.7
 # how far tendons and veins stand out of the flesh of a child, which hides them, of the usual person, and of an old one
@@ -56,6 +64,7 @@ def paint_flesh(canvas: Canvas, curves: PalmCurves) -> None:
         _finger(canvas, finger, on)
     _knuckles(canvas)
     _tendons(canvas)
+    _hollows(canvas)
     for center, (height, width) in mounts(canvas):
         canvas.raise_by("static", canvas.palm * height * gauss(canvas.distance_on_palm(center), width))
     canvas.raise_by("static", UNEVEN * canvas.fractal_noise("uneven", UNEVEN_CELL, octaves=2) * canvas.skin)
@@ -81,17 +90,19 @@ def _finger(canvas: Canvas, finger: int, on: np.ndarray) -> None:
     flank = np.clip(near - back - palm, 0, 1)
     for joint, (on_back, on_flank, reach) in zip((6 + finger, 11 + finger), BONES, strict=True):
         along, across, _ = canvas.hinge(joint).of(points)
-        ring = gauss(along, reach * size)
+        ring = (1 + THICKER * canvas.aged) * gauss(along, reach * size)
         canvas.raise_by("static", ring * (0.7 * on_back * back + 0.8 * on_flank * flank), on)
         canvas.raise_by("static", -PAD_END * size * palm * gauss(along, 2.3 * size), on)
         heads = CONDYLES * gauss(np.abs(across) - CONDYLES_APART * size, 2.2 * size)
         canvas.raise_by("bent", back * gauss(along + 1.2, 4.0 * size) * (heads + BENT_JOINT), on)
-    for bone, (height, part, reach) in zip((6, 11, 16), PADS, strict=True):
+    for bone, (height, part, reach), sunk in zip((6, 11, 16), PADS, SUNK, strict=True):
         if finger == 0 and bone == 6:  # that is the thenar
             continue
         along, across, _ = canvas.bone(bone + finger, part).of(points)
         pad = gauss(along, reach * size) * gauss(across, PAD_BREADTH * size)
+        height *= 1 - FLATTER * canvas.aged
         canvas.raise_by("static", size * height * palm * pad - WAIST_OF_BACK * back * gauss(along, 0.8 * reach), on)
+        canvas.raise_by("static", -size * sunk * canvas.aged * near * gauss(along, reach * size), on)
     along, _, _ = canvas.bone(16 + finger, 0.58).of(points)
     canvas.mark("pulp", palm * gauss(along, 6 * size), on)
 
@@ -117,16 +128,34 @@ def _tendons(canvas: Canvas) -> None:
     """They fan out from the wrist to the knuckles, with a hollow at each side."""
     size, stands_out = canvas.size, canvas.by_age(*TENDONS_STAND_OUT)
     for finger, height in enumerate(TENDONS, 1):
-        knuckle = canvas.joints[1 + finger, :2]
-        wrist = canvas.joints[0, :2] + [(0.30 if finger < 4 else 0.25) * knuckle[0], 2]
-        length = np.linalg.norm(knuckle - wrist)
-        x, y = ((knuckle - wrist) / length).astype(np.float32)
-        relative = canvas.texels.point[:, :2] - wrist.astype(np.float32)
-        part = relative @ np.array([x, y]) / length
-        across = relative @ np.array([-y, x]) + 0.5 * canvas.wobble
+        part, across = _along_back(canvas, canvas.joints[1 + finger, :2], ASIDE if finger < 4 else 0.25)
         ridge = gauss(across, TENDON_WIDTH * size) - 0.35 * gauss(np.abs(across) - 4.2 * size, 2.0 * size)
         seen = smoothstep(0.05, 0.4, part) * smoothstep(1.02, 0.90, part)
         canvas.raise_by("straight", canvas.back * stands_out * height * size * ridge * seen)
+
+
+def _hollows(canvas: Canvas) -> None:
+    """Where flesh has gone between the metacarpals."""
+    size, joints = canvas.size, canvas.joints
+    depth, width = HOLLOWS
+    for finger in range(1, 4):
+        part, across = _along_back(canvas, joints[[1 + finger, 2 + finger], :2].mean(0), ASIDE)
+        seen = smoothstep(0.10, 0.5, part) * smoothstep(1.10, 0.80, part)
+        sunk = canvas.back * gauss(across, width * size * (ASIDE + (1 - ASIDE) * part)) * seen
+        canvas.raise_by("static", -canvas.aged * depth * size * sunk)
+    depth, width = WEB_HOLLOW
+    web = canvas.distance_on_palm(0.45 * joints[2] + 0.3 * joints[6] + 0.25 * joints[1])
+    canvas.raise_by("static", -canvas.aged * depth * size * canvas.back * gauss(web, width * size))
+
+
+def _along_back(canvas: Canvas, end: np.ndarray, aside: float) -> tuple[np.ndarray, np.ndarray]:
+    """In the plane of the palm, of the line to `end` (2,) from the wrist, beside its middle by this part of the end's
+    x: (N,) the part of it at each texel, and the distance across, mm."""
+    wrist = canvas.joints[0, :2] + [aside * end[0], 2]
+    length = np.linalg.norm(end - wrist)
+    x, y = ((end - wrist) / length).astype(np.float32)
+    relative = canvas.texels.point[:, :2] - wrist.astype(np.float32)
+    return relative @ np.array([x, y]) / length, relative @ np.array([-y, x]) + 0.5 * canvas.wobble
 
 
 def _veins(canvas: Canvas, curves: PalmCurves) -> None:

@@ -23,6 +23,8 @@ PLATE_MM, VAULT_MM, FREE_EDGE_MM, STEP_MM = 0.10, 0.10, 0.10, 0.28
 EDGE_MM = 0.10
 # ridges along the plate, mm high and apart: at 0.01 mm it looks corrugated already
 RIDGE_MM, RIDGES_APART_MM = 0.0035, 0.55
+# of an old person: how much higher they are, and cell of coarser ones, mm
+HIGHER, OLD_RIDGES_MM = 2.0, 0.8
 # how far the moon reaches from the root: whole on thumb and index, half on the middle finger, little on the others
 MOONS = (1.0, 1.0, 0.55, 0.2, 0.2)
 # most of the half length that a free edge takes on the plate itself
@@ -72,4 +74,5 @@ def _ridges(canvas: Canvas, finger: int, along: np.ndarray, across: np.ndarray) 
 
     phase = (across + 0.25 * drawn_out("ridge phase", 0.9, 0.08)) / RIDGES_APART_MM
     uneven = drawn_out("ridge", 0.45, 0.10) + drawn_out("plate", 2.0, 0.25)
-    return RIDGE_MM * (np.sin(2 * np.pi * phase) + 1.1 * uneven)
+    old = canvas.aged * drawn_out("old ridge", OLD_RIDGES_MM, 0.04)
+    return RIDGE_MM * (1 + HIGHER * canvas.aged) * (np.sin(2 * np.pi * phase) + 1.1 * uneven + 1.5 * old)

@@ -54,7 +54,7 @@ class Person:
     melanin:  0 palest to 2 darkest; see MONK_MELANIN
     blood:    0.2 pale to 0.8 flushed
     warmth:   carotene, the yellow of the horny layer, of the palm above all
-    age:      0 to 1: how deep lines are, how much veins and tendons stand out, spots
+    age:      0 child to 1 old: lines, veins, tendons, spots, flesh between bones, looseness, ridges of nails
     freckles: part of the back that has them
     dryness:  0 moist and glossy to 1 matt, whitish on the ridges
     nail_mm:  free edge of the nails beyond their beds, millimeters

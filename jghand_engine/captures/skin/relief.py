@@ -1,11 +1,11 @@
-"""The grain of skin: the network of the back, follicles, friction ridges of the palm, cracks. Millimeters."""
+"""The grain of skin: network and loose folds of the back, follicles, friction ridges of the palm, cracks. Millimeters."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from jghand_engine.captures.skin.canvas import NARROWEST_TEXELS, Canvas
-from jghand_engine.captures.skin.noise import fractal_noise, gauss, smoothstep
+from jghand_engine.captures.skin.noise import fractal_noise, gauss, noise, smoothstep
 
 # furrows between the pillows of the back: edge of a cell, half width, depth; and how high pillows are
 NETWORK, FINE_NETWORK, PILLOW = (0.92, 0.092, 0.042), (0.52, 0.062, 0.028), 0.012
@@ -15,6 +15,10 @@ STRETCH, WAVER, WAVER_CELL = 0.20, 0.16, 1.1
 LOOSE, ON_KNUCKLES = 0.65, 0.7
 # wrinkles of dry skin between the joints: edge of a cell, half width, depth
 DRY_LINES = (2.6, 0.117, 0.030)
+# those of an old person are on the whole back, and so much deeper; so are the cracks of the palm
+OLDER, OLDER_CRACKS = 1.5, 0.8
+# soft folds of loose skin: cell, how much shorter they are along the bones than across, depth
+CREPE, CREPE_SHORTER, CREPE_DEPTH = 3.4, 1.2, 0.13
 # follicles: edge of a cell, part of the cells that have one, radius, depth
 FOLLICLES = (2.3, 0.65, 0.13, 0.035)
 # friction ridges: from one to the next, height from the groove; below this many texels a ridge they are not drawn
@@ -23,6 +27,8 @@ RIDGES_APART, RIDGE, RIDGE_TEXELS = 0.50, 0.052, 2.5
 TIP_PATTERN, TRANSVERSE = 0.52, (-5.5, -8.5)
 # cracks: the zero lines of stretched noise of these cells; half width in its values, depth
 CRACK_CELLS, CRACK_WIDTH, CRACK = (3.2, 2.6), 0.035, 0.06
+# how late in life they come, see Canvas.present
+CRACKS_RANK = 0.3
 # grain: cell, height
 GRAIN = ((0.34, 0.012), (0.80, 0.016))
 
@@ -49,9 +55,11 @@ def paint_relief(canvas: Canvas) -> None:
 
     cell, width, depth = DRY_LINES
     lines = canvas.furrow(canvas.cells("dry lines", cell, points + 1.6 * along)[0], width)
-    lines *= back * smoothstep(0.3, 0.7, canvas.fingers.sum(1))
-    relief -= depth * deep * lines
+    lines *= back * np.maximum(smoothstep(0.3, 0.7, canvas.fingers.sum(1)), canvas.aged)
+    relief -= (1 + OLDER * canvas.aged) * depth * deep * lines
     canvas.mark("network", 0.7 * lines)
+    folds = np.maximum(1 - np.abs(noise(points + CREPE_SHORTER * along, CREPE, canvas.seed("crepe"))), 0)
+    canvas.raise_by("straight", -canvas.aged * CREPE_DEPTH * back * folds)
 
     cell, part, width, depth = FOLLICLES
     _, distance, number = canvas.cells("follicles", cell)
@@ -66,8 +74,8 @@ def paint_relief(canvas: Canvas) -> None:
         canvas.mark("ridge", ridge * canvas.palm)
         worn = np.clip(0.85 + 0.35 * canvas.noise("worn ridges", 0.9), 0, 1.15)
         relief += RIDGE * (ridge**0.8 - 0.5) * worn * palm * (0.8 + 0.4 * canvas.amounts["pulp"])
-    cracks = _cracks(canvas) * palm
-    relief -= CRACK * cracks
+    cracks = canvas.present(CRACKS_RANK) * _cracks(canvas) * palm
+    relief -= CRACK * (1 + OLDER_CRACKS * canvas.aged) * cracks
     canvas.mark("crack", cracks)
     for number, (cell, height) in enumerate(GRAIN):
         relief += height * canvas.noise(f"grain{number}", cell) * skin

@@ -2,13 +2,16 @@
 
 import copy
 import dataclasses
+from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, label
 
 from jghand_engine.captures.making.rig import load_identity
-from jghand_engine.captures.skin.canvas import Canvas
+from jghand_engine.captures.skin import nails
+from jghand_engine.captures.skin.canvas import AGING, GROWN, Canvas
 from jghand_engine.captures.skin.color import SPOTS_FROM_AGE, paint_color, paint_roughness
 from jghand_engine.captures.skin.maps import COARSE_MM, SkinMaps, paint_skin, painted
 from jghand_engine.captures.skin.person import Person
@@ -232,6 +235,71 @@ def test_age_deepens_lines_and_long_nails_have_a_wide_edge():
     for layer in ("straight", "fold"):
         assert old.heights[layer].std() > 1.3 * young.heights[layer].std()
     assert old.amounts["free_edge"].sum() > 2 * young.amounts["free_edge"].sum()
+
+
+@pytest.fixture(scope="module")
+def at_age() -> Callable[[float], Canvas]:
+    """The same person at different ages."""
+    hand = load_identity("adult_woman")
+    return cache(lambda age: painted(hand, SIZE, dataclasses.replace(PERSON, age=age)))
+
+
+def test_a_child_has_some_of_the_lines_that_it_will_have_and_fainter(at_age):
+    child, grown = (at_age(age).amounts["crease"] for age in (0.0, GROWN))
+    assert (child <= grown).all()
+    # observed 0.6
+    assert 0.4 < child.sum() / grown.sum() < 0.7
+
+
+def test_lines_come_and_flesh_goes_little_by_little_and_between_neither_does(canvas):
+    def at(age: float) -> list[float]:
+        other = copy.copy(canvas)
+        other.person = dataclasses.replace(PERSON, age=age)
+        return [other.aged, *(other.present(rank) for rank in (0, 0.3, 1))]
+
+    assert at(GROWN) == at(Person.age) == at(AGING) == [0, 1, 1, 1]
+    changes = np.abs(np.diff([at(age) for age in np.linspace(0, 1, 101)], axis=0))
+    # observed 0.12
+    assert changes.max() < 0.15
+
+
+def test_flesh_of_an_old_person_sinks_between_bones_and_joints(at_age):
+    """By how much the skin is lower than that of the person before, mm."""
+    old = at_age(1.0)
+    lower = at_age(AGING).heights["static"] - old.heights["static"]
+    points, joints = old.texels.point, old.joints
+
+    def near(place: np.ndarray) -> float:
+        """Mean on the back within 4 mm, in the plane of the palm."""
+        return float(lower[(old.back > 0.9) & (np.linalg.norm((points - place)[:, :2], axis=1) < 4)].mean())
+
+    for finger in range(1, 5):
+        base, middle, last = (joints[joint + finger] for joint in (1, 6, 11))
+        shafts = near(0.38 * base + 0.62 * middle), near((middle + last) / 2)
+        # observed 0.58 to 1.05, and -0.06 to 0.13
+        assert min(shafts) > 0.5
+        assert max(near(middle), near(last)) < 0.2
+        if finger < 4:
+            between = (0.7 * (base + joints[2 + finger]) / 2) + 0.3 * joints[0]
+            # observed 0.25 to 0.79
+            assert near(between) > near(0.7 * base + 0.3 * joints[0]) + 0.2
+
+
+def test_nails_of_an_old_person_have_ridges_from_root_to_end_and_streaks(at_age):
+    across, along = (each.ravel() for each in np.mgrid[-4:4:0.05, -6:6:0.5])
+
+    def of(age: float) -> tuple[np.ndarray, float]:
+        """(160, 24) relief of a plate, mm, and how uneven its color's logarithm is."""
+        canvas = at_age(age)
+        bed = (canvas.amounts["plate"] > 0.99) & (canvas.amounts["free_edge"] + canvas.amounts["moon"] < 0.01)
+        return nails._ridges(canvas, 2, along, across).reshape(160, 24), np.log(paint_color(canvas)[bed, 1]).std()
+
+    (before, even), (old, uneven) = of(AGING), of(1.0)
+    # observed 0.006 and 0.027 mm, of that 0.024 along the whole plate
+    assert old.std() > 3 * before.std()
+    assert old.mean(1).std() > 0.8 * old.std()
+    # observed 0.044 and 0.097
+    assert uneven > 1.7 * even
 
 
 def test_a_dark_hand_has_no_cuff_where_its_pale_palm_ends():
