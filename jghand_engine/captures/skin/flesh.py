@@ -26,7 +26,7 @@ CONDYLES, CONDYLES_APART, BENT_JOINT = 0.55, 3.0, 0.35
 KNUCKLE, KNUCKLE_BENT, KNUCKLE_WIDTH = 0.85, 1.9, 5.0
 DIP, DIP_WIDTH = 0.95, 3.6
 # of an old person: how far the back sinks between two metacarpals, and between those of thumb and index; widths
-HOLLOWS, WEB_HOLLOW = (1.4, 3.8), (2.2, 9.0)
+HOLLOWS, WEB_HOLLOW = (1.6, 3.8), (2.2, 9.0)
 # how far aside on the wrist, as a part of how far on the knuckles, what fans out to them begins
 ASIDE = 0.30
 # extensor tendons of index to pinky
@@ -140,9 +140,11 @@ def _hollows(canvas: Canvas) -> None:
     depth, width = HOLLOWS
     for finger in range(1, 4):
         part, across = _along_back(canvas, joints[[1 + finger, 2 + finger], :2].mean(0), ASIDE)
-        seen = smoothstep(0.10, 0.5, part) * smoothstep(1.10, 0.80, part)
-        sunk = canvas.back * gauss(across, width * size * (ASIDE + (1 - ASIDE) * part)) * seen
-        canvas.raise_by("static", -canvas.aged * depth * size * sunk)
+        seen = smoothstep(0.20, 0.6, part) * smoothstep(1.10, 0.80, part)
+        # as shallow as they are narrow, or they would be slits at the wrist
+        broad = size * (ASIDE + (1 - ASIDE) * part.clip(0))
+        sunk = broad * canvas.back * gauss(across, width * broad) * seen
+        canvas.raise_by("static", -canvas.aged * depth * sunk)
     depth, width = WEB_HOLLOW
     web = canvas.distance_on_palm(0.45 * joints[2] + 0.3 * joints[6] + 0.25 * joints[1])
     canvas.raise_by("static", -canvas.aged * depth * size * canvas.back * gauss(web, width * size))

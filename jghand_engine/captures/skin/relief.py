@@ -1,4 +1,4 @@
-"""The grain of skin: network and loose folds of the back, follicles, friction ridges of the palm, cracks. Millimeters."""
+"""The grain of skin: network and loose folds of the back, follicles, friction ridges and cracks of the palm. In mm."""
 
 from __future__ import annotations
 
