@@ -271,11 +271,13 @@ def main(options: Options) -> None:
     mediapipe_hands.model_file()
     for truth in sorted(options.films.glob("*/truth.npz")):
         folder, made_from = truth.parent, kinds
-        if capture_of(folder) != folder / "capture":
+        has_fault = capture_of(folder) != folder / "capture"
+        if has_fault:
             if not options.faults:
                 continue
             faults.append((folder.name, *told_of(folder / "film.mp4")))
-            made_from = [] if faults[-1][1] == REFUSED else ["film"]
+            is_judged = faults[-1][1] != REFUSED and capture_of(folder).is_dir()
+            made_from = ["film"] if is_judged else []
         for kind in made_from:
             kept = folder / f"{AVATAR[kind]}.judged.json"
             if kind == "exact" and (folder.name, "film") not in rows:
@@ -289,7 +291,7 @@ def main(options: Options) -> None:
                 seconds = json.loads(kept.read_text(encoding="utf-8"))["seconds"]
             rows[folder.name, kind] = judge(folder, AVATAR[kind], seconds)
             kept.write_text(json.dumps(asdict(rows[folder.name, kind]), indent=1) + "\n", encoding="utf-8")
-        if options.built_in and made_from == kinds and (folder.name, "film") in rows:
+        if options.built_in and not has_fault and (folder.name, "film") in rows:
             rows |= {(folder.name, kind): held_out(hand, folder) for kind, hand in built_in_hands(folder).items()}
     text = f"{held_out_table(rows)}\n\n{fit_table(rows)}"
     if refused:

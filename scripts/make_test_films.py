@@ -292,6 +292,7 @@ def placed(hand: RiggedHand, angles: np.ndarray, turns_deg: np.ndarray, middle_m
 def open_plan(film: Film, folder: Path, options: Options) -> CapturePlan:
     """The plan that is there, else a new one. SystemExit for one of another film."""
     about = {"film": dataclasses.asdict(film), "size": options.size, "samples": options.samples, "maps": options.texels}
+    about["wall_m"] = (WALL_BEHIND_M, WALL_EDGE_M)
     about = json.loads(json.dumps(about))
     plan = read_plan(folder)
     if plan is None:
@@ -453,7 +454,7 @@ def shipped_environment(name: str) -> Path:
     """The file of an environment that comes with Blender."""
     code = "import bpy; print(bpy.utils.resource_path('LOCAL'))"
     told = subprocess.run([find_blender_python(), "-c", code], check=True, capture_output=True, text=True).stdout
-    return Path(told.split()[-1]) / "datafiles" / "studiolights" / "world" / f"{name}.exr"
+    return Path(told.splitlines()[-1]) / "datafiles" / "studiolights" / "world" / f"{name}.exr"
 
 
 def _smooth_noise(shape: tuple[int, int], cell: float, random: np.random.Generator) -> np.ndarray:

@@ -1,5 +1,8 @@
 """Test films without rendering: whose hand it is, how it moves, what faults leave of the picture and of the truth."""
 
+from dataclasses import replace
+
+import cv2
 import make_test_films as films
 import numpy as np
 import pytest
@@ -93,6 +96,21 @@ def test_the_wall_lights_the_hand_from_where_the_camera_sees_it():
         place = np.unravel_index((direction @ way).argmax(), direction.shape[:2])
         np.testing.assert_allclose(seen[place], wall[row, column])
     assert (seen[direction[..., 2] > -0.2] == 9).all()
+
+
+def test_the_wall_stands_behind_the_hand_and_is_as_bright_as_it_looks_however_the_environment_is_turned(
+    tmp_path, monkeypatch
+):
+    sky = np.full((16, 32, 3), 0.5, np.float32)
+    np.save(tmp_path / "sky.npy", sky)
+    monkeypatch.setattr(films, "shipped_environment", lambda name: tmp_path / "sky.npy")
+    monkeypatch.setattr(films, "wall", lambda film, size: np.full((80, 60, 3), 0.25))
+    light = replace(films.FILMS["man"].light, hdri_turn_deg=90.0, hdri_strength=0.125)
+    file = films.lit_by(replace(films.FILMS["man"], light=light), FOCAL_PX, np.array([0.0, 0.0, -0.4]), SIZE)
+    picture = cv2.imdecode(np.frombuffer(file, np.uint8), cv2.IMREAD_UNCHANGED)
+    # what is behind the hand stands a quarter left of the middle; turned by a quarter, at both ends
+    np.testing.assert_allclose(picture[8, [0, 31]], 0.25 / 0.125, rtol=0.01)
+    np.testing.assert_allclose(picture[8, 8:24], 0.5, rtol=0.01)
 
 
 def test_each_fault_is_what_it_is_called(shown):

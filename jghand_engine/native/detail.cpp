@@ -418,19 +418,19 @@ JG_INLINE void shade(const DetailTask& t, const DetailHand& hand, const Interpol
   vf texel[CHANNELS] = {};
   add_level<has_relief>(hand.texels, fine, u, v, 1.f - chosen.part, texel);
   if (bit_mask(mine & (chosen.part > 0))) add_level<has_relief>(hand.texels, coarse, u, v, chosen.part, texel);
-  vf light = all(1.f), mirrored = {};
+  const vf exponent = weight * hand.exponent;
+  for (int i = 0; i < 3; i++) color[i] = color[i] * exp2(exponent * (texel[RED + i] - FIELD_MIDDLE));
   if constexpr (has_relief) {
     vf rise[2];
     for (int i = 0; i < 2; i++)
       rise[i] = texel[STRAIGHT + i] - FIELD_MIDDLE + n.at[BEND] * (texel[BENT + i] - texel[STRAIGHT + i]);
     const Relit relief = relit(hand, n, rise);
-    light += weight * (relief.light - 1.f);
-    // it is taken as white: no more of it is in a color than in its least channel
+    const vf light = 1.f + weight * (relief.light - 1.f);
+    // it is taken as white: no more of it is in a color than in its least channel, so that none becomes negative
     const vf shown = luminance(color), white = min(relief.part * shown, min(min(color[0], color[1]), color[2]));
-    mirrored = weight * min(white * (relief.shine - relief.light), (LIGHT_MOST - relief.light) * shown);
+    const vf mirrored = weight * min(white * (relief.shine - relief.light), (LIGHT_MOST - relief.light) * shown);
+    for (int i = 0; i < 3; i++) color[i] = color[i] * light + mirrored;
   }
-  const vf exponent = weight * hand.exponent;
-  for (int i = 0; i < 3; i++) color[i] = color[i] * light * exp2(exponent * (texel[RED + i] - FIELD_MIDDLE)) + mirrored;
 }
 
 // What of a hand is the nearest in a tile.

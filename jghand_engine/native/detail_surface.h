@@ -37,7 +37,7 @@ struct DetailHand {
   const float* share;        // (blocks, ANCHORS_AROUND, 16)
   float* bend;               // (rows): 0 straight to 1 bent, given for the surface's blocks
   float* slope;              // (4, rows): how their light turns with the normal, in the camera's axes; along it
-  float* gloss;              // (5, rows): `GlossLobe` of it: way in the camera's axes, width2, part; null: none
+  float* gloss;              // (5, rows): `GlossLobe` of it: way in the camera's axes, width2, part; null: vertices alone are asked for
   float rise;                // m per side of the square, over the range of a byte, times the hand's scale; 0: not drawn
   // vertices in the middles of sides
   const int32_t* around;     // (side_blocks, AROUND_SIDE, 16): rows of the vertices around each: see `round_sides`

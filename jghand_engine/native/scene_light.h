@@ -142,7 +142,7 @@ void seen_block(const LearnedTask& t, int32_t block);
 struct GlossLobe {
   vf way[3];   // along the skin, how a normal leans that mirrors the most
   vf width2;
-  vf part;     // 0..1 of the color
+  vf part;     // 0..1 of the color, but for the world's gloss
 };
 
 // How the light of skin at sixteen posed places p, root-relative, changes with its unit normal: per unit of a change,

@@ -123,14 +123,14 @@ class Observations:
     color:  (F, N, 3) mean linear color of the pixels that a Gaussian has
     seen:   (F, N) how many pixels, times how squarely it faces the camera, squared; 0: not seen
     trust:  (F, N) 0..1, less for what is bent
-    behind: (3,) mean linear color of what is behind the hand
+    behind: (3,) mean linear color of what is behind the hand; None where it hides all
     """
 
     shown: tuple[Shown, ...]
     color: Tensor
     seen: Tensor
     trust: Tensor
-    behind: Tensor
+    behind: Tensor | None
 
     def __len__(self) -> int:
         return len(self.shown)
@@ -152,8 +152,8 @@ def observe(
     return Observations(shown, torch.stack(color), torch.stack(seen), trust, _behind(joints_m, camera, pictures, masks))
 
 
-def _behind(joints_m: np.ndarray, camera: Camera, pictures: np.ndarray, masks: np.ndarray) -> Tensor:
-    """(3,) of `Observations`: the forearm is on the other side of the wrist."""
+def _behind(joints_m: np.ndarray, camera: Camera, pictures: np.ndarray, masks: np.ndarray) -> Tensor | None:
+    """Of `Observations`: the forearm is on the other side of the wrist. What is burnt out is at least so bright."""
     joints_px, _ = camera.project(joints_m)
     summed, count = np.zeros(3), 0
     for mask, side, size_px, picture in zip(
@@ -161,7 +161,7 @@ def _behind(joints_m: np.ndarray, camera: Camera, pictures: np.ndarray, masks: n
     ):
         away = side & (distance_transform_edt(~mask) > BESIDE_PART * size_px)
         summed, count = summed + srgb_to_linear(picture[away] / 255).sum(0), count + int(away.sum())
-    return torch.from_numpy(summed / max(count, 1)).float()
+    return torch.from_numpy(summed / count).float() if count else None
 
 
 def trusted(joints_m: np.ndarray) -> np.ndarray:

@@ -58,10 +58,13 @@ LIGHT_SPREAD, LIGHT_SHARPNESS, HUE_SPREAD = 1.4, 5.0, 0.25
 # from the sides than from straight behind the hand, as people are told to film: no skin that a film shows faces there.
 # With this, films of a man and a woman and photographs of them are nearest to the truth, together
 LIGHT_RISE, LIGHT_FALL = 2.0, 1.25
-# what is behind the hand in the pictures lights it from there, from within so many degrees, though no skin that a film
-# shows faces it. How bright that is beside the light that the skin gets, the skin's own brightness tells, which sends
-# back so large a part of its light; spreads of the logarithms of all of it, and of each direction
-BEHIND_DEG, SKIN_ALBEDO, BEHIND_SPREAD, BEHIND_NOISE = 55.0, 0.33, 0.7, 0.3
+# what is behind the hand in the pictures lights it from there, though no skin that a film shows faces it: from within
+# so many degrees of straight behind, as walls go on beyond what a telephone sees, 20 to 35 degrees to each side
+BEHIND_DEG = 55.0
+# how bright that is beside the light on the skin, the skin's own brightness tells, if it sends back so large a part of
+# its light: the mean of channels and of skins but for dark ones, which send back down to a tenth. Hence the spread of
+# the logarithm; and that of each direction about it, as walls are uneven
+SKIN_ALBEDO, BEHIND_SPREAD, BEHIND_NOISE = 0.33, 0.7, 0.3
 # skin that turns away from the camera is brighter than the model of known light has it, as a logarithm for a cosine of
 # 0: 0.17 to 0.22, 0.26 to 0.34 and 0.31 to 0.37 in two rendered films whose light is known, of dark and of light skin,
 # less a fifth since the model's gloss rises as much towards grazing light as theirs. Without it that would be taken for
@@ -221,9 +224,11 @@ def likely_light(ways: np.ndarray) -> np.ndarray:
     return LIGHT_RISE / 2 * ways[:, 1] + LIGHT_FALL * np.minimum(ways[:, 2], 0)
 
 
-def _of_wall(behind: Tensor, ways: np.ndarray) -> tuple[Tensor, Tensor]:
+def _of_wall(behind: Tensor | None, ways: np.ndarray) -> tuple[Tensor, Tensor]:
     """Logarithm (CELLS, 3) of the light from directions (CELLS, 3) where all is as bright as what is behind the hand,
-    (3,), and the precision with which that is known, (3 CELLS, 3 CELLS), channel by channel."""
+    (3,), and the precision with which that is known, (3 CELLS, 3 CELLS), channel by channel; 0 where nothing is."""
+    if behind is None:
+        return torch.zeros(CELLS, 3), torch.zeros(3 * CELLS, 3 * CELLS).double()
     solid_angle = torch.from_numpy(World(np.ones((CELL_ROWS, 2 * CELL_ROWS, 3))).terms.light).float()
     wall = np.tile(ways[:, 2] < -np.cos(np.radians(BEHIND_DEG)), 3)
     count, precision = wall.sum(), np.zeros((3 * CELLS, 3 * CELLS))

@@ -66,8 +66,13 @@ def test_a_forearm_of_any_color_changes_no_number(flat):
 
 def test_what_is_behind_the_hand_is_the_wall_though_the_mask_is_a_little_too_small(flat):
     hand, film = flat
-    small = binary_erosion(film.masks, iterations=1, structure=np.ones((1, 3, 3)))
+    small = binary_erosion(film.masks, iterations=2, structure=np.ones((1, 3, 3)))
     np.testing.assert_allclose(seen_by(hand, film, small).behind, WALL_RGB, rtol=0.02)
+
+
+def test_where_the_hand_hides_all_nothing_is_behind_it(flat):
+    hand, film = flat
+    assert seen_by(hand, film, np.ones_like(film.masks)).behind is None
 
 
 def test_a_bent_finger_counts_less_than_a_straight_one(flat):

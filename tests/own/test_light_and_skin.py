@@ -111,6 +111,9 @@ def test_a_wall_lights_the_hand_from_behind_as_bright_as_the_film_shows_it(seen)
 
     usual = from_behind(found.world)
     assert 0.7 < usual / from_behind(window_world()) < 1.4, "seen: 0.75: little light is likely beside the wall"
+    unknown, _ = film_light(showing(lit, replace(lit.observed, behind=None)))
+    assert from_behind(unknown) < usual, "what is not seen is no black wall, and no bright one"
+    assert from_behind(unknown) > 0.7 * usual
     brighter, _ = film_light(showing(lit, replace(lit.observed, behind=4 * lit.observed.behind)))
     assert 1.5 < from_behind(brighter) / usual < 4
     exposed, _ = film_light(

@@ -1,5 +1,6 @@
 """Relief: skin whose slope turns away from a lamp is darker, and follows the joints as they bend."""
 
+import math
 from dataclasses import replace
 from functools import cache
 
@@ -166,6 +167,14 @@ def test_what_is_mirrored_changes_with_the_slope_and_is_white():
     share = change[:, 1] / mirrored[looked_at][:, 1].mean()
     assert np.percentile(share, 5) < -0.3
     assert np.percentile(share, 95) > 0.3
+
+
+def test_dark_lines_in_the_gloss_of_dark_skin_are_black_at_most():
+    avatar = hand("bumps", log_ratio=-math.log(2))
+    response = avatar.learned.response
+    glossy = replace(response, roughness=np.full_like(response.roughness, 0.3))
+    dark = replace(avatar, rgb=0.1 * avatar.rgb, learned=replace(avatar.learned, response=glossy))
+    assert drawn(dark, sun(0.1, 0.25, 0.9, on_gloss=True)).rgba.min() > -1e-6
 
 
 @pytest.mark.parametrize("variant", native_library.runnable_variants())
