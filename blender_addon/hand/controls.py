@@ -33,13 +33,12 @@ from ..core.controls import (
     JointRange,
 )
 from ..core.joints import FINGERS, NAMES, WRIST
-from ..core.poses import PosedFingers
 from ..errors import JGHandFailure
 from . import armature, motion
 
 # turns of the solver for a tip that is held somewhere; Blender's own number, enough for three bones
 IK_ITERATIONS = 500
-# of bones about themselves and of hinges sideways, up to Blender's 0.99: a finger bends rather than
+# of bones about themselves and of hinges sideways, up to Blender's 0.99: a finger bends rather than turns so
 SOLVER_STIFFNESS = 0.9
 # how much farther sideways than its joint limit a hinge goes: the solver takes limits for the axes of an ellipse, on
 # which a finger that is bent to its end would be straight
@@ -66,9 +65,7 @@ def has_controls(hand: bpy.types.Object) -> bool:
     return hand.type == "ARMATURE" and all(name in hand.data.bones for name in CONTROLS)
 
 
-def add_controls(
-    context: bpy.types.Context, hand: bpy.types.Object, fist: kinematics.Fist = kinematics.NO_FIST
-) -> None:
+def add_controls(context: bpy.types.Context, hand: bpy.types.Object, fist: kinematics.Fist) -> None:
     """Gives our armature the control layer; one that is there is made anew and keeps its values.
 
     Joint limits are on, no tip is held. fist: of its avatar. Raises JGHandFailure: not_a_hand, not_editable.
@@ -83,7 +80,33 @@ def add_controls(
         _make_bones(hand.data, controls.control_matrices(rest, handedness), unit_m)
     _collect_bones(hand.data)
     _dress_controls(hand, rest, unit_m)
-    _make_rules(hand, rest, poses.pose_on("fist", rest, handedness, fist))
+    use_fist(hand, fist)
+    _make_limits(hand, controls.joint_ranges(rest, handedness))
+
+
+def may_use_fist(hand: bpy.types.Object) -> bool:
+    """Whether `use_fist` suits what is there: not a linked hand, nor rules of an older version, whose order differs."""
+    return has_controls(hand) and bones_are_own(hand) and {*RULES} <= {rule.name for rule in rules_of(hand)}
+
+
+def use_fist(hand: bpy.types.Object, of_avatar: kinematics.Fist) -> None:
+    """A full curl of all fingers is the fist of an avatar; all else of the controls stays as it is."""
+    handedness = armature.handedness_of(hand)
+    rest = armature.rest_matrices_of(hand)
+    fist = poses.pose_on("fist", rest, handedness, of_avatar)
+    for finger, control in enumerate(FINGER_CONTROLS):
+        spread = controls.spread_sign(finger, handedness) * np.radians(controls.SPREAD_FULL_DEG)
+        leaders = ((HAND_CONTROL, controls.SPLAY_PARTS[finger] * spread, OF_HAND), (control, spread, OF_FINGER))
+        first, *_ = controls.moving_bones(finger)
+        for name in controls.moving_bones(finger):
+            bone, turn = hand.pose.bones[name], Quaternion(fist.turns[name]).to_euler("XYZ")
+            for leader, spread_to, (of_spread, of_curl, of_palm) in leaders:
+                if name == first:
+                    _follow(hand, bone, of_spread, leader, "Z", (0.0, 0.0, spread_to))
+                _follow(hand, bone, of_curl, leader, "X", turn, goes_back=name == first)
+                if name in fist.knuckles:
+                    way = float(np.linalg.norm(rest[NAMES.index(name), :3, 3] - rest[WRIST, :3, 3]))
+                    _follow(hand, bone, of_palm, leader, "X", way * Vector(fist.knuckles[name]), moves=True)
 
 
 def remove_controls(context: bpy.types.Context, hand: bpy.types.Object) -> None:
@@ -315,26 +338,14 @@ def _keep_in_range(bone: bpy.types.PoseBone) -> None:
     _limit(bone, RANGE, (-back, full), (0.0, 0.0), (-spread, spread)).use_transform_limit = True
 
 
-def _make_rules(hand: bpy.types.Object, rest: np.ndarray, fist: PosedFingers) -> None:
-    """fist: a full curl of all fingers."""
-    ranges = {span.bone: span for span in controls.joint_ranges(rest, fist.handedness)}
-    for finger, control in enumerate(FINGER_CONTROLS):
-        spread = controls.spread_sign(finger, fist.handedness) * np.radians(controls.SPREAD_FULL_DEG)
-        leaders = ((HAND_CONTROL, controls.SPLAY_PARTS[finger] * spread, OF_HAND), (control, spread, OF_FINGER))
-        first, *_, last = controls.moving_bones(finger)
-        for name in controls.moving_bones(finger):
-            bone, turn = hand.pose.bones[name], Quaternion(fist.turns[name]).to_euler("XYZ")
-            for leader, spread_to, (of_spread, of_curl, of_palm) in leaders:
-                if name == first:
-                    _follow(hand, bone, of_spread, leader, "Z", (0.0, 0.0, spread_to))
-                _follow(hand, bone, of_curl, leader, "X", turn, goes_back=name == first)
-                if name in fist.knuckles:
-                    way = float(np.linalg.norm(rest[NAMES.index(name), :3, 3] - rest[WRIST, :3, 3]))
-                    _follow(hand, bone, of_palm, leader, "X", way * Vector(fist.knuckles[name]), moves=True)
-            span = ranges[name]
-            _limit(bone, LIMIT, span.x, span.y, span.z)
-            _set_solver_range(bone, span)
-        rule = hand.pose.bones[last].constraints.new("IK")
+def _make_limits(hand: bpy.types.Object, ranges: Iterable[JointRange]) -> None:
+    """And the tips' inverse kinematics, the last of all."""
+    for span in ranges:
+        bone = hand.pose.bones[span.bone]
+        _limit(bone, LIMIT, span.x, span.y, span.z)
+        _set_solver_range(bone, span)
+    for finger in range(len(FINGERS)):
+        rule = hand.pose.bones[controls.moving_bones(finger)[-1]].constraints.new("IK")
         rule.name, rule.target, rule.subtarget = TIP, hand, TIP_CONTROLS[finger]
         rule.chain_count, rule.iterations, rule.use_stretch = 3, IK_ITERATIONS, False
         rule.influence = 0.0
@@ -358,7 +369,7 @@ def _follow(
     """
     back, full, spread = np.radians((controls.CURL_BACK_DEG, controls.CURL_FULL_DEG, controls.SPREAD_FULL_DEG))
     low, high = (-spread, spread) if axis == "Z" else (-back if goes_back else 0.0, full)
-    rule = bone.constraints.new("TRANSFORM")
+    rule: Any = bone.constraints.get(name) or bone.constraints.new("TRANSFORM")
     rule.name, rule.target, rule.subtarget = name, hand, control
     rule.owner_space = rule.target_space = "LOCAL"
     rule.map_from, rule.map_to = "ROTATION", "LOCATION" if moves else "ROTATION"
@@ -383,10 +394,12 @@ def _limit(bone: bpy.types.PoseBone, name: str, *spans: tuple[float, float]) -> 
 
 
 def _set_solver_range(bone: bpy.types.PoseBone, span: JointRange | None) -> None:
-    """The limits for inverse kinematics; None: as Blender makes a bone. No axis is locked: the solver would begin
-    without the turn about it that a pose or a curl has, and a finger that is held would jump."""
+    """The joint limits for inverse kinematics, of hinges sideways SOLVER_PLAY times as wide; None: as Blender makes a
+    bone. No axis is locked, also of an older layer: the solver would begin without the turn about it that a pose or a
+    curl has, and a finger that is held would jump."""
     is_hinge = span is not None and span.hinge
     spans = (span.x, span.y, span.z) if span is not None else ((-np.pi, np.pi),) * 3
+    bone.lock_ik_y = bone.lock_ik_z = False
     bone.ik_stiffness_y = 0.0 if span is None else SOLVER_STIFFNESS
     bone.ik_stiffness_z = SOLVER_STIFFNESS if is_hinge else 0.0
     for axis, (low, high) in zip("xyz", spans, strict=True):

@@ -18,8 +18,7 @@ from ..core.bone_maps import JointSource
 from ..core.joints import FINGERS
 from ..core.view import BUILTIN_AVATAR
 from ..versions import path_options
-from . import avatar_files, sources, stand_ins
-from .seen_hands import hand_folders
+from . import avatar_files, controls, seen_hands, sources, stand_ins
 
 # identifier, name, tooltip, icon, number in files
 HANDS = (
@@ -71,6 +70,14 @@ def _make_anew(settings: JGHandObjectSettings, context: bpy.types.Context) -> No
     stand_ins.update()
 
 
+def _show_avatar(settings: JGHandObjectSettings, context: bpy.types.Context) -> None:
+    """... and the fist that the finger controls close is the avatar's."""
+    _evaluate_again(settings, context)
+    hand = settings.id_data
+    if controls.may_use_fist(hand):
+        controls.use_fist(hand, avatar_files.fist_of(seen_hands.avatar_of(hand)))
+
+
 class JGHandJoint(bpy.types.PropertyGroup):
     """One row of a foreign armature's bone map: `name` is the joint, the rest is read from the stored map."""
 
@@ -96,7 +103,7 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
         name="Avatar",
         description="File of the avatar that is drawn on this hand. Empty: the one that comes with JGHand",
         subtype="FILE_PATH",
-        update=_evaluate_again,
+        update=_show_avatar,
         options=path_options(),
         override=OVERRIDABLE,
     )
@@ -150,7 +157,7 @@ _pictures: list[bpy.utils.previews.ImagePreviewCollection] = []
 def hand_items(_owner: object = None, _context: bpy.types.Context | None = None) -> _Items:
     """Of an enumeration: the built-in hand, then the others. Their numbers hold until hands are installed."""
     found = [(BUILTIN_AVATAR, "Built-in", "The hand that comes with JGHand", icon_of(_picture_of(BUILTIN_AVATAR)), 0)]
-    for place, hand in enumerate(avatar_files.hands_in(hand_folders()), 1):
+    for place, hand in enumerate(avatar_files.hands_in(seen_hands.hand_folders()), 1):
         found.append((hand.name, hand.title, str(hand.file), icon_of(hand.picture), place))
     if found != _items:
         _items[:] = found
@@ -158,7 +165,7 @@ def hand_items(_owner: object = None, _context: bpy.types.Context | None = None)
 
 
 def _picture_of(name: str) -> Path | None:
-    paths = (folder / f"{name}{avatar_files.PICTURE}" for folder in hand_folders())
+    paths = (folder / f"{name}{avatar_files.PICTURE}" for folder in seen_hands.hand_folders())
     return next((path for path in paths if path.is_file()), None)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from blender_addon import versions
-from blender_addon.core import posing
-from blender_addon.core.controls import CONTROLS, FINGER_CONTROLS, HAND_CONTROL, TIP_CONTROLS
+from blender_addon.core import kinematics, posing
+from blender_addon.core.controls import CONTROLS, FINGER_CONTROLS, HAND_CONTROL, TIP_CONTROLS, moving_bones
 from blender_addon.core.joints import FINGERS, HANDEDNESSES, NAMES, TIPS
 from blender_addon.core.view import BUILTIN_AVATAR
 from blender_addon.errors import JGHandFailure
@@ -20,7 +20,7 @@ EXACT_M = 2e-7
 
 def controlled_hand(context: bpy.types.Context, handedness: str) -> bpy.types.Object:
     hand = armature.build_armature(context, handedness, posing.rest_joints_m(handedness), handedness)
-    controls.add_controls(context, hand)
+    controls.add_controls(context, hand, kinematics.NO_FIST)
     return hand
 
 
@@ -99,6 +99,25 @@ def test_a_full_curl_is_the_fist_that_apply_pose_closes_on_the_same_hand(extensi
         np.testing.assert_allclose(hands.joints_of(hand), fist, atol=EXACT_M)
 
 
+def test_a_full_curl_is_the_fist_of_the_avatar_that_is_chosen_later_and_what_was_set_stays(extension):
+    bpy.ops.jghand.add_hand()
+    hand = extension.object
+    bpy.ops.jghand.hold_tip(finger="ring")
+    controls.use_joint_limits(hand, False)
+    rules = [rule.name for rule in controls.rules_of(hand)]
+    hand.jghand.avatar = "strong"
+    assert [rule.name for rule in controls.rules_of(hand)] == rules
+    assert controls.tip_rule(hand, FINGERS.index("ring")).influence == 1
+    assert not controls.joint_limits_are_used(hand)
+    controls.use_joint_limits(hand, True)
+    bpy.ops.jghand.hold_tip(finger="ring", hold=False)
+    bpy.ops.jghand.apply_pose(pose="fist")
+    fist = hands.joints_of(hand)
+    bpy.ops.jghand.reset_pose()
+    hand.pose.bones[HAND_CONTROL].rotation_euler.x = np.pi / 2
+    np.testing.assert_allclose(hands.joints_of(hand), fist, atol=EXACT_M)
+
+
 def test_left_controls_are_the_mirror_image_of_right_ones(context):
     seen = {}
     for handedness in HANDEDNESSES:
@@ -143,6 +162,17 @@ def test_pinning_the_tips_of_a_pose_moves_no_finger(extension, pose):
     assert moved_m.max() < (2e-3 if pose == "fist" else 2e-5)
 
 
+@pytest.mark.parametrize("change", [bpy.ops.jghand.add_controls, bpy.ops.jghand.remove_controls])
+def test_axes_that_an_older_layer_locked_are_free_when_it_is_made_anew_or_removed(extension, change):
+    bpy.ops.jghand.add_hand()
+    bones = extension.object.pose.bones
+    for name in NAMES:
+        bones[name].lock_ik_y = bones[name].lock_ik_z = True
+    assert change() == {"FINISHED"}
+    moving = [name for finger in range(len(FINGERS)) for name in moving_bones(finger)]
+    assert not any(bones[name].lock_ik_y or bones[name].lock_ik_z for name in moving)
+
+
 def test_joint_limits_stop_a_finger_and_can_be_switched_off(context):
     hand = controlled_hand(context, "right")
     hand.pose.bones["index2"].rotation_quaternion = (np.cos(-0.5), np.sin(-0.5), 0, 0)
@@ -163,7 +193,7 @@ def test_adding_and_removing_keeps_every_key_and_every_joint(context):
     hand = hands.keyed_hand(context, "left", joints)
     action = hand.animation_data.action
     before = [(curve.data_path, [tuple(key.co) for key in curve.keyframe_points]) for curve in versions.fcurves(hand)]
-    controls.add_controls(context, hand)
+    controls.add_controls(context, hand, kinematics.NO_FIST)
     controls.use_joint_limits(hand, False)
     for place in range(len(joints)):
         seen = armature.read_hand(hand, armature.at_frame(context.scene, 1 + place))
@@ -183,7 +213,7 @@ def test_adding_and_removing_keeps_every_key_and_every_joint(context):
     for place in range(len(joints)):
         seen = armature.read_hand(hand, armature.at_frame(context.scene, 1 + place))
         np.testing.assert_allclose(seen.joints_world_m, joints[place], atol=EXACT_M)
-    controls.add_controls(context, hand)  # the key of the control works again
+    controls.add_controls(context, hand, kinematics.NO_FIST)  # the key of the control works again
     armature.at_frame(context.scene, 2)
     assert hand.pose.bones[HAND_CONTROL].rotation_euler.x == pytest.approx(0.3)
 
@@ -246,7 +276,7 @@ def test_hands_that_share_their_bones_part_before_one_gets_controls(context):
     hand = armature.build_armature(context, "a", posing.rest_joints_m("right"), "right")
     twin = hand.copy()
     context.scene.collection.objects.link(twin)
-    controls.add_controls(context, hand)
+    controls.add_controls(context, hand, kinematics.NO_FIST)
     assert controls.has_controls(hand)
     assert not controls.has_controls(twin)
     assert set(twin.data.bones.keys()) == set(NAMES)
@@ -256,11 +286,11 @@ def test_controls_are_for_our_visible_armature_only(context):
     hand = armature.build_armature(context, "a", posing.rest_joints_m("right"), "right")
     hand.hide_set(True)
     with pytest.raises(JGHandFailure) as caught:
-        controls.add_controls(context, hand)
+        controls.add_controls(context, hand, kinematics.NO_FIST)
     assert caught.value.kind == "not_editable"
     empty = bpy.data.objects.new("x", None)
     with pytest.raises(JGHandFailure) as caught:
-        controls.add_controls(context, empty)
+        controls.add_controls(context, empty, kinematics.NO_FIST)
     assert caught.value.kind == "not_a_hand"
     with pytest.raises(JGHandFailure) as caught:
         controls.hold_tip(hand, "index")
@@ -286,7 +316,7 @@ def test_a_duplicated_hand_has_controls_of_its_own(context, linked):
 def test_undo_takes_the_controls_away_and_redo_brings_them_back(context):
     hand = armature.build_armature(context, "hand", posing.rest_joints_m("right"), "right")
     bpy.ops.ed.undo_push(message="bare")
-    controls.add_controls(context, hand)
+    controls.add_controls(context, hand, kinematics.NO_FIST)
     bpy.ops.ed.undo_push(message="controls")
     bpy.ops.ed.undo()
     hand = bpy.data.objects["hand"]  # every reference dies on undo

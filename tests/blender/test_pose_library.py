@@ -55,7 +55,7 @@ def test_every_asset_is_the_pose_of_the_built_in_hand(context, handedness):
 
 def test_an_asset_puts_the_controls_back_to_neutral(context):
     hand = armature.build_armature(context, "Hand", posing.rest_joints_m("right"), "right")
-    controls.add_controls(context, hand)
+    controls.add_controls(context, hand, FIST)
     controls.use_joint_limits(hand, False)
     hand.pose.bones["control_hand"].rotation_euler.x = 0.5
     (action,) = shipped_actions(["Point (right)"])
@@ -66,7 +66,7 @@ def test_an_asset_puts_the_controls_back_to_neutral(context):
 @pytest.mark.parametrize("handedness", HANDEDNESSES)
 def test_every_pose_lies_within_the_joint_limits_of_the_controls(context, handedness):
     hand = armature.build_armature(context, "Hand", posing.rest_joints_m(handedness), handedness)
-    controls.add_controls(context, hand)
+    controls.add_controls(context, hand, FIST)
     rest = armature.rest_matrices_of(hand)
     for pose in poses.ALL_POSES:
         hand_poses.take_pose(hand, poses.pose_on(pose.name, rest, handedness, FIST))

@@ -53,3 +53,19 @@ def test_its_hand_is_a_left_hand_with_controls_and_the_scene_renders_with_jghand
     assert armature.handedness_of(hand) == "left"
     assert opened.scene.render.engine == "JGHAND"
     assert {"JGHand Controls", "JGHand Tips"} <= {one.name for one in hand.data.collections}
+
+
+def test_another_avatar_leaves_its_finger_controls_as_they_are_until_they_are_made_anew(opened):
+    import bpy
+
+    from blender_addon.hand import controls
+
+    hand = opened.scene.objects["Hand"]
+    before = [(rule.name, rule.type) for rule in controls.rules_of(hand)]
+    hand.jghand.avatar = "strong"
+    assert [(rule.name, rule.type) for rule in controls.rules_of(hand)] == before
+    assert not controls.may_use_fist(hand)
+    opened.view_layer.objects.active = hand
+    hand.select_set(True)
+    assert bpy.ops.jghand.add_controls() == {"FINISHED"}
+    assert controls.may_use_fist(hand)

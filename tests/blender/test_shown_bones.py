@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from mathutils import Euler
 
-from blender_addon.core import posing
+from blender_addon.core import kinematics, posing
 from blender_addon.core.joints import NAMES
 from blender_addon.hand import armature, controls
 from blender_addon.viewport import drawing
@@ -49,7 +49,7 @@ def test_bones_of_a_hidden_collection_leave_no_hole(context, hand):
 
 
 def test_controls_are_the_wires_of_their_shapes(context, hand):
-    controls.add_controls(context, hand)
+    controls.add_controls(context, hand, kinematics.NO_FIST)
     context.view_layer.update()
     _, shapes = lines_of(context, hand)
     assert len(shapes) >= 6
