@@ -76,7 +76,7 @@ class Export(StartsJob, bpy.types.Operator):
             return None
         if settings.format == "ply":
             title, options = "Exporting PLY", ["--axes", settings.axes]
-            options += ["--surfels", str(settings.surfels)] if settings.use_surfels else []
+            options += ["--surfels", str(settings.surfel_count)] if settings.use_surfels else []
         else:
             title = "Exporting USD"
             options = usd_options(settings.variant, settings.width_factor, settings.radiance)

@@ -60,7 +60,7 @@ class ExportPanel(ui.HandSidebar, bpy.types.Panel):
             column.prop(settings, "axes")
             column.prop(settings, "use_surfels")
             if settings.use_surfels:
-                column.prop(settings, "surfels")
+                column.prop(settings, "surfel_count")
             if scene_light.is_chosen(context.scene):
                 ui.paragraph(layout, context, "Colors show the light of the scene in the current frame", icon="INFO")
         layout.operator("jghand.export", icon="EXPORT")

@@ -175,7 +175,7 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
         description="Write the skin as flat splats with the colors of the hand's texture, for close-ups. Off, the "
         "hand's own splats, which are coarser than its skin",
     )
-    surfels: bpy.props.IntProperty(
+    surfel_count: bpy.props.IntProperty(
         name="Count",
         description="How many surfels, at least 56,000 for most hands",
         default=200_000,

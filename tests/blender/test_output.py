@@ -165,7 +165,7 @@ def test_splats_of_a_scene_that_lights_its_hands_show_its_light(extension, engin
     hand.jghand.avatar = "builtin"
     scene.frame_end = scene.frame_start
     settings, lamp = scene.jghand.output, bpy.data.lights.new("Lamp", "SUN")
-    settings.format, settings.folder, settings.axes, settings.surfels = "ply", str(tmp_path), "rub", 60_000
+    settings.format, settings.folder, settings.axes, settings.surfel_count = "ply", str(tmp_path), "rub", 60_000
     settings.use_surfels = surfels
     scene.collection.objects.link(bpy.data.objects.new("Lamp", lamp))
     lamp.energy, scene.world, scene.jghand.light = 3, None, "SCENE"

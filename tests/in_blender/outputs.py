@@ -113,7 +113,7 @@ def step_surfels_are_a_switch_with_a_count(window):
     jobs, scene = window.runtime().jobs, bpy.context.scene
     settings = scene.jghand.output
     bpy.context.object.jghand.avatar = ""
-    settings.format, settings.folder, settings.use_surfels, settings.surfels = "ply", "//surfels", True, 60_000
+    settings.format, settings.folder, settings.use_surfels, settings.surfel_count = "ply", "//surfels", True, 60_000
     scene.frame_end = 1
     window.redraw()
     yield 1.0
