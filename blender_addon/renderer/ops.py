@@ -13,7 +13,7 @@ from pathlib import Path
 
 import bpy
 
-from ..errors import JGHandFailure
+from ..errors import ADVICE, JGHandFailure
 from ..ops import CANCELLED, DONE, ERROR, PLUMBING, REGISTERED, Reporting, missing, sentence_of
 from ..ui import PANELS, areas, popup_text, redraw
 from . import runtime
@@ -91,7 +91,7 @@ class InstallTools(Reporting, bpy.types.Operator):
         if not _tools_are_free(cls):
             return False
         if not runtime.is_online():
-            return missing(cls, JGHandFailure("offline").advice.remedy)
+            return missing(cls, ADVICE["offline"].remedy)
         return True
 
     def run(self, _context: bpy.types.Context) -> None:

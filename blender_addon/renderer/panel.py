@@ -8,7 +8,7 @@ import bpy
 
 from .. import ui
 from ..core import panel_text
-from ..errors import JGHandFailure
+from ..errors import ADVICE, JGHandFailure
 from ..preferences import JGHandPreferences
 from . import runtime
 from .jobs import Phase
@@ -88,7 +88,7 @@ def draw_tools(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     icon = "CHECKMARK" if now == "ready" else "ERROR" if now == "broken" else "INFO"
     ui.paragraph(box, context, _STATES[now], icon=icon)
     if now != "ready" and not runtime.is_online():
-        ui.paragraph(box, context, JGHandFailure("offline").advice.remedy, icon="BLANK1")
+        ui.paragraph(box, context, ADVICE["offline"].remedy, icon="BLANK1")
     row = box.row(align=True)
     if now != "ready":
         row.operator("jghand.install_tools", icon="IMPORT")

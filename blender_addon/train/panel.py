@@ -10,7 +10,7 @@ import bpy
 import bpy.utils.previews
 
 from .. import ui
-from ..errors import JGHandFailure
+from ..errors import ADVICE, JGHandFailure
 from ..export import ops_common
 from ..hand import avatar_files, properties
 from ..hand.panel import HandPanel
@@ -148,9 +148,8 @@ def _draw_film_button(layout: bpy.types.UILayout, context: bpy.types.Context) ->
         return
     layout.operator("jghand.hand_from_film", text="Choose a Film…", icon="FILE_MOVIE")
     if not runtime.is_online():
-        remedy = JGHandFailure("offline").advice.remedy
-        text = f"The networks that find a hand are downloaded with the first film. {remedy}"
-        ui.paragraph(layout, context, text, icon="INFO")
+        text = "The networks that find a hand are downloaded with the first film. If they are not on this computer yet"
+        ui.paragraph(layout, context, f"{text}: {ADVICE['offline'].remedy}", icon="INFO")
 
 
 def _look_at_findings(_context: bpy.types.Context, file: str) -> list[str]:
