@@ -71,13 +71,16 @@ def the_platform() -> str:
     return found
 
 
-def learning_python(python: Path | None) -> tuple[dict[str, str], list[Path]]:
-    """What tells a story which Python has PyTorch and the engine, and the folders that these are in; or nothing."""
-    if python is None or not python.is_file():
+def learning_python(story: Path, python: Path) -> tuple[dict[str, str], list[Path]]:
+    """What tells a story which Python has PyTorch and the engine, and the folders that these are in. Nothing where the
+    story does not name it, or the Python lacks one of them: the story then skips its steps."""
+    if LEARNING_VARIABLE not in story.read_text(encoding="utf-8") or not python.is_file():
         return {}, []
-    ask = "import sys, jghand_engine; print(sys.prefix, sys.base_prefix, *jghand_engine.__path__, sep='\\n')"
-    told = subprocess.run([str(python), "-I", "-c", ask], capture_output=True, text=True, check=True).stdout
-    return {LEARNING_VARIABLE: str(python)}, [Path(line) for line in told.splitlines()]
+    ask = "import sys, torch, jghand_engine; print(sys.prefix, sys.base_prefix, *jghand_engine.__path__, sep='\\n')"
+    told = subprocess.run([str(python), "-I", "-c", ask], capture_output=True, text=True, check=False)
+    if told.returncode:
+        return {}, []
+    return {LEARNING_VARIABLE: str(python)}, [Path(line) for line in told.stdout.splitlines()]
 
 
 def run_story(place: Place, archive: Path, story: Path, steps: list[str], options: argparse.Namespace) -> bool:
@@ -91,7 +94,7 @@ def run_story(place: Place, archive: Path, story: Path, steps: list[str], option
         "LIBGL_ALWAYS_SOFTWARE": "1", "GALLIUM_DRIVER": "llvmpipe",
         "JGHAND_CACHE_DIR": str(out.parent / "cache"), "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "2"),
     }  # fmt: skip
-    named, folders = learning_python(options.learning_python)
+    named, folders = learning_python(story, options.learning_python)
     width, height = options.screen.split("x")
     blender = [
         "blender", "--no-window-focus", "--gpu-backend", "opengl", "--window-geometry", "0", "0", width, height,

@@ -35,8 +35,7 @@ def step_without_the_training_tools_the_panel_says_what_is_missing(window):
 
 
 def step_films_are_made(window):
-    if not PYTHON:
-        raise SkipTest("no Python has the engine with PyTorch: --learning-python")
+    need_python()
     films(window).mkdir()
     render = ("-m", "jghand_engine", "render", "--poses", "open,fist,open", "--size", "240x320", "--out", "pictures")
     for words in (("-c", WALL, "wall.mp4"), (*render, "--video", "hand.mp4")):
@@ -51,6 +50,7 @@ def step_films_are_made(window):
 
 
 def step_what_is_wrong_with_a_film_stands_where_it_was_chosen(window):
+    need_python()
     yield from choose(window, "wall.mp4")
     yield from until(window, "failed")
     assert "wall.mp4: wanted a hand" in job(window).state.failure.detail
@@ -58,6 +58,7 @@ def step_what_is_wrong_with_a_film_stands_where_it_was_chosen(window):
 
 
 def step_its_bar_says_the_stage_and_its_button_cancels(window):
+    need_python()
     with window.override():  # the failure has pushed the button down
         bpy.ops.jghand.hand_from_film("INVOKE_DEFAULT")
     yield from in_browser(window, "hand.mp4")
@@ -72,6 +73,7 @@ def step_its_bar_says_the_stage_and_its_button_cancels(window):
 
 
 def step_the_film_becomes_a_hand_that_can_be_added(window):
+    need_python()
     yield from choose(window, "hand.mp4")
     for stage in ("Fitting the hand by pictures", "Cutting the hand out", "Finding skin and light", "done"):
         yield from until(window, stage)
@@ -85,6 +87,11 @@ def step_the_film_becomes_a_hand_that_can_be_added(window):
 
 
 # ---- parts -----------------------------------------------------------------------------------------------------------
+
+
+def need_python():
+    if not PYTHON:
+        raise SkipTest("no Python has the engine with PyTorch: --learning-python")
 
 
 def job(window):
