@@ -52,9 +52,9 @@ class Relief:
         padded, size = np.pad(height_m[..., 0], 2, mode="edge"), len(height)
         rise_m = np.zeros((size, size, 2), np.float32)
         for apart, share in RISES.items():
-            near, far = slice(2 - apart, 2 - apart + size), slice(2 + apart, 2 + apart + size)
-            rise_m[..., 0] += np.float32(share * size) * (padded[2:-2, far] - padded[2:-2, near])
-            rise_m[..., 1] += np.float32(share * size) * (padded[far, 2:-2] - padded[near, 2:-2])
+            before, after = slice(2 - apart, 2 - apart + size), slice(2 + apart, 2 + apart + size)
+            rise_m[..., 0] += np.float32(share * size) * (padded[2:-2, after] - padded[2:-2, before])
+            rise_m[..., 1] += np.float32(share * size) * (padded[after, 2:-2] - padded[before, 2:-2])
         rise_m[~skin] = 0
         return rise_m
 
