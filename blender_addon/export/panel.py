@@ -59,8 +59,9 @@ class ExportPanel(ui.HandSidebar, bpy.types.Panel):
         elif settings.format == "ply":
             column.prop(settings, "axes")
             column.prop(settings, "use_surfels")
-            if settings.use_surfels:
-                column.prop(settings, "surfel_count")
+            counted = column.column()
+            counted.active = settings.use_surfels
+            counted.prop(settings, "surfel_count")
             if scene_light.is_chosen(context.scene):
                 ui.paragraph(layout, context, "Colors show the light of the scene in the current frame", icon="INFO")
         layout.operator("jghand.export", icon="EXPORT")

@@ -157,7 +157,7 @@ class ShowPoseShelf(Reporting, bpy.types.Operator):
             bpy.ops.object.mode_set(mode="POSE")
         hand_poses.show_shelf()
         if avatar_of(context.object) not in SHIPPED_AVATARS:
-            self.tell("These poses fit the built-in hand: Apply Pose closes fists and pinches on this one.")
+            self.tell('These poses fit the built-in hand: "Apply Pose" closes fists and pinches on this one.')
 
 
 def _others(context: bpy.types.Context) -> list[bpy.types.Object]:

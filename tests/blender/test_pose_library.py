@@ -105,4 +105,4 @@ def test_the_shelf_says_of_another_persons_hand_which_poses_close_on_it(extensio
     capfd.readouterr()
     assert bpy.ops.jghand.show_pose_shelf() == {"FINISHED"}
     assert bpy.context.mode == "POSE"
-    assert ("Apply Pose closes" in capfd.readouterr().out) == (avatar == "strong")
+    assert ('"Apply Pose" closes' in capfd.readouterr().out) == (avatar == "strong")

@@ -177,8 +177,9 @@ def test_the_films_camera_sees_the_hand_where_the_film_shows_it(extension, engin
         seen = armature.read_hand(hand, armature.at_frame(scene, 11 + frame)).joints_world_m
         x, y, z = joints[frame].T
         wanted = np.stack([270 + focal * x / y, 480 - focal * z / y], -1)
-        # a lens and a sensor in single precision; worst seen 2e-4 px
-        np.testing.assert_allclose(blenders_pixels(scene, scene.camera, seen / unit_m, (540, 960)), wanted, atol=2e-3)
+        # a lens, a sensor and the constraints of finger controls in single precision, which is 2e-7 m so far from the
+        # world's origin; worst seen 2.5e-3 px, at the origin 4e-4 px
+        np.testing.assert_allclose(blenders_pixels(scene, scene.camera, seen / unit_m, (540, 960)), wanted, atol=5e-3)
 
 
 def test_a_film_that_blender_plays_is_as_large_as_the_scenes_images(extension, engine, engine_python, tmp_path, capfd):
