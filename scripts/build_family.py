@@ -43,6 +43,7 @@ from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.validation import as_text
 from jghand_engine.captures.making.person_skin import MAP_PX
 from jghand_engine.captures.making.rig import load_identity
+from jghand_engine.captures.skin import maps as paint
 from jghand_engine.captures.skin.hair import Hair
 from jghand_engine.captures.skin.maps import FINE_LAYERS, SkinMaps, paint_skin
 from jghand_engine.captures.skin.noise import smoothstep
@@ -132,9 +133,14 @@ def main(options: Options) -> None:
 
 
 def code_sha256() -> str:
-    """Of the sources that make one person's hand into another's."""
+    """Of the sources that make one person's hand into another's, and those that paint persons."""
     sources = (inspect.getsource(module) for module in (other_person, registration, reshape))
-    return hashlib.sha256("".join(sources).encode()).hexdigest()
+    return hashlib.sha256("".join(sources).encode() + skin_sources()).hexdigest()
+
+
+def skin_sources() -> bytes:
+    """Of what paints the maps of a person."""
+    return b"".join(path.read_bytes() for path in sorted(Path(paint.__file__).parent.glob("*.py")))
 
 
 def _told(avatar: HandAvatar, name: str) -> HandAvatar:
@@ -168,9 +174,9 @@ def _somebody(trained: HandAvatar, folder: Path, texels: int, identity: str, per
 
 
 def kept_maps(folder: Path, identity: str, person: Person, texels: int) -> SkinMaps:
-    """Painted once, in half precision: 2 um of the largest height."""
+    """Painted once by the same code, in half precision: 2 um of the largest height."""
     text = json.dumps([identity, dataclasses.asdict(person), texels], sort_keys=True)
-    file = folder / f"{hashlib.sha256(text.encode()).hexdigest()[:16]}.npz"
+    file = folder / f"{hashlib.sha256(text.encode() + skin_sources()).hexdigest()[:16]}.npz"
     if not file.is_file():
         hand = load_identity(identity, forearm=True)
         maps = paint_skin(hand, texels, person, Hair.of(hand, person))
