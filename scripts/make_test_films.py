@@ -40,7 +40,7 @@ from jghand_engine.captures.making.options import AreaLight, Light, Sampling
 from jghand_engine.captures.making.person_skin import PersonSkin, png_bytes
 from jghand_engine.captures.making.plan import FOLDER, CapturePlan, Job, annotate, drafted_mesh, read_plan, write_plan
 from jghand_engine.captures.making.rig import METACARPAL_BASES, RIG_JOINTS, Identity, RiggedHand, RigPose, load_identity
-from jghand_engine.captures.making.worker import fault_of, find_blender_python, render
+from jghand_engine.captures.making.worker import fault_of, find_blender_python, find_program, render
 from jghand_engine.captures.skin.canvas import MM, Texels
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.splits import SPLITS_FILE, SPLITS_FORMAT
@@ -451,10 +451,13 @@ def room(around: World, shown: np.ndarray, focal_px: float, middle_m: np.ndarray
 
 
 def shipped_environment(name: str) -> Path:
-    """The file of an environment that comes with Blender."""
-    code = "import bpy; print(bpy.utils.resource_path('LOCAL'))"
-    told = subprocess.run([find_blender_python(), "-c", code], check=True, capture_output=True, text=True).stdout
-    return Path(told.splitlines()[-1]) / "datafiles" / "studiolights" / "world" / f"{name}.exr"
+    """The file of an environment that comes with Blender, as captures find it."""
+    # the folder of captures as a package of its own, as in its __main__.py
+    code = "import sys; sys.path.insert(0, sys.argv[1]); from capture import scene"
+    code += "; print(scene.shipped_environment(sys.argv[2]))"
+    command = [find_blender_python(), "-c", code, find_program().parents[1], name]
+    told = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    return Path(told.splitlines()[-1])
 
 
 def _smooth_noise(shape: tuple[int, int], cell: float, random: np.random.Generator) -> np.ndarray:
