@@ -222,7 +222,7 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
   if (hand.cap == 0) seen &= ~is_cap;
   // and skin that fades stands in no lamp's light: its ragged end would be seen on the cap
   if (hand.facing == 0) seen &= is_cap | (min(min(whole[0], whole[1]), whole[2]) == 1);
-  const int64_t stride = (hand.groups + LANES - 1) / LANES * LANES;
+  const int32_t stride = groups_stride(hand.groups);
   if (!bit_mask(seen)) {
     hand.box[group] = INT32_MAX, hand.box[stride + group] = -1;
     return;
@@ -276,6 +276,18 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
   float* out = hand.planes + FACE_NUMBERS * LANES * (int64_t)group;
   for (int i = 0; i < LANES; i++, out += FACE_NUMBERS)
     store(out, faces.at[i]), store(out + BY_X, faces.by_x[i]), store(out + BY_Y, faces.by_y[i]);
+}
+
+// Sets up sixteen groups, and the box around them.
+void set_up_sixteen(const DetailTask& t, const DetailHand& hand, int32_t sixteen) {
+  const int32_t first = LANES * sixteen, stride = groups_stride(hand.groups);
+  for (int32_t group = first; group < first + LANES && group < hand.groups; group++) set_up_group(t, hand, group);
+  for (int k = 0; k < 4; k++) {
+    const int32_t* of_group = hand.box + k * stride + first;
+    int32_t bound = of_group[0];
+    for (int i = 1; i < LANES; i++) bound = (of_group[i] < bound) == (k % 2 == 0) ? of_group[i] : bound;
+    hand.wide_box[k * groups_stride(stride / LANES) + sixteen] = bound;
+  }
 }
 
 // Where a level of the texture lies in memory.
@@ -334,7 +346,7 @@ JG_INLINE void add_level(const uint32_t* texels, const Level& level, vf u, vf v,
   for (int k = 0; k < 4; k++) {
     const vi index = row[k / 2] + column[k % 2];
     vi color, rises;
-    if constexpr (has_relief) gather_pairs(texels, index, color, rises);
+    if constexpr (has_relief) gather_pairs<2>(texels, index, color, rises);
     else color = gather_bits(texels, index);
     out[RED] += share[k] * field<0, TEXEL_BITS>(color);
     out[GREEN] += share[k] * field<TEXEL_BITS, TEXEL_BITS>(color);
@@ -454,8 +466,8 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
       for (int k = 0; k < PICTURE_PLANES; k++) __builtin_prefetch(p + k * pixels + 2 * (int64_t)t.width);
       const vf alpha = load_first(p + ALPHA * pixels, n);
       if (!bit_mask(mine & (alpha > (t.outline > 0 ? 0.f : t.alpha_from)))) continue;
-      const vf at_x = LANE + ((float)left + 0.5f);
-      const Interpolated at = interpolate<has_relief>(hand, &tile.face[row][x], mine, at_x, (float)(tile.y + row) + 0.5f);
+      const Interpolated at = interpolate<has_relief>(hand, &tile.face[row][x], mine, (float)left + 0.5f,
+                                                      (float)(tile.y + row) + 0.5f);
       const vf filled = min(alpha * (1.f / FILLED_FROM), all(1.f));
       const vf depth = load_first(p + DEPTH * pixels, n) * inverse(max(alpha, all(FILLED_FROM)));
       vf color[3];
@@ -555,7 +567,7 @@ JG_API void jg_detail(jg::Team* team, const jg::DetailTask* task) {
   };
   parts(0, [](const jg::DetailHand& hand) { return (int64_t)hand.surface->skin.blocks; }, jg::skin_vertices);
   parts(1, [](const jg::DetailHand& hand) { return (int64_t)hand.side_blocks; }, jg::round_sides);
-  parts(2, [](const jg::DetailHand& hand) { return (int64_t)hand.groups; }, jg::set_up_group);
+  parts(2, [](const jg::DetailHand& hand) { return jg::groups_stride(hand.groups) / jg::LANES; }, jg::set_up_sixteen);
   const int32_t step_x = jg::TILE_X - 2 * jg::apron_of(t).x, step_y = jg::TILE_Y - 2 * jg::apron_of(t).y;
   const int32_t tiles_x = (t.width + step_x - 1) / step_x, tiles_y = (t.height + step_y - 1) / step_y;
   jg::share(*team, 3, tiles_x * tiles_y, [&](int32_t tile) { jg::shade_tile(t, tile, tiles_x); });

@@ -20,6 +20,7 @@ struct DetailHand {
                              // ends included, and its kind: bits of its sides, each from a corner to the next, that are
                              // at an outline, and FADES
   int32_t* box;              // (4, groups up to 16): the same of a group; x1 < 0: none of its faces is seen
+  int32_t* wide_box;         // (4, a sixteenth of these up to 16): the same of sixteen groups
   const uint32_t* texels;    // every level in squares of 4 x 4: three channels of ten bits, 512 changes nothing; with a
                              // relief a second word each, four signed bytes: rise by column and row, straight, then bent
   int32_t size_log2, groups;
@@ -49,6 +50,8 @@ struct DetailHand {
 };
 constexpr int AROUND_SIDE = 8;
 
+// Rows of groups, of faces or of sixteen groups: whole vectors.
+JG_INLINE int32_t groups_stride(int32_t groups) { return (groups + LANES - 1) / LANES * LANES; }
 inline int64_t rows_of(const DetailHand& hand) { return LANES * (int64_t)(hand.surface->skin.blocks + hand.side_blocks); }
 
 // Mirrored field by field in native/detail_task.py.
@@ -143,8 +146,8 @@ JG_INLINE void cover_face(Surface& tile, const float* face, int32_t number, int3
       const vi closer = (min(min(share[1], share[2]), share[0]) >= 0) & (near > before);
       vi face_before;
       memcpy(&face_before, &tile.face[y][x], sizeof face_before);
-      store(&tile.near[y][x], select(closer, near, before));
-      store(&tile.face[y][x], closer ? all(number) : face_before);
+      store(hidden(&tile.near[y][x]), select(closer, near, before));
+      store(hidden(&tile.face[y][x]), closer ? all(number) : face_before);
       for (int k = 0; k < 3; k++) share[k] += by_y[SHARE_0 + k];
       near += by_y[NEAR];
     }
@@ -159,7 +162,7 @@ struct Span {
 // Calls act(number of a face, its place) for all faces of a hand that reach into the tile, or to `around` pixels before.
 template <typename Act>
 JG_INLINE void each_face(const Surface& tile, const DetailHand& hand, int32_t around, Act act) {
-  const int64_t stride = (hand.groups + LANES - 1) / LANES * LANES;
+  const int32_t stride = groups_stride(hand.groups), wide_stride = groups_stride(stride / LANES);
   const vi left = all(tile.x - around), right = all(tile.x + TILE_X - 1 + around);
   const vi top = all(tile.y - around), bottom = all(tile.y + TILE_Y - 1 + around);
   const auto touching = [&](const int32_t* p, int64_t step) __attribute__((always_inline)) {
@@ -168,18 +171,21 @@ JG_INLINE void each_face(const Surface& tile, const DetailHand& hand, int32_t ar
     memcpy(&y0, p + 2 * step, sizeof y0), memcpy(&y1, p + 3 * step, sizeof y1);
     return bit_mask((x0 <= right) & (x1 >= left) & (y0 <= bottom) & (y1 >= top));
   };
-  for (int32_t sixteen = 0; sixteen < hand.groups; sixteen += LANES) {
-    for (uint32_t groups = touching(hand.box + sixteen, stride); groups; groups &= groups - 1) {
-      const int32_t group = sixteen + __builtin_ctz(groups);
-      const int32_t* bounds = hand.bounds + BOUNDS * LANES * (int64_t)group;
-      for (uint32_t faces = touching(bounds, LANES); faces; faces &= faces - 1) {
-        const int i = __builtin_ctz(faces);
-        const int32_t x0 = bounds[i] - tile.x - around, x1 = bounds[LANES + i] - tile.x + around;
-        const int32_t y0 = bounds[2 * LANES + i] - tile.y - around, y1 = bounds[3 * LANES + i] - tile.y + around;
-        act(LANES * group + i, Span{x0 < 0 ? 0 : x0, x1 < TILE_X ? x1 : TILE_X - 1, y0 < 0 ? 0 : y0,
-                                    y1 < TILE_Y ? y1 : TILE_Y - 1}, bounds[FACE_KIND * LANES + i]);
-      }
-    }
+  const auto each = [](int32_t first, uint32_t bits, auto then) __attribute__((always_inline)) {
+    for (; bits; bits &= bits - 1) then(first + __builtin_ctz(bits));
+  };
+  for (int32_t first = 0; first < wide_stride; first += LANES) {
+    each(first, touching(hand.wide_box + first, wide_stride), [&](int32_t sixteen) __attribute__((always_inline)) {
+      each(LANES * sixteen, touching(hand.box + LANES * sixteen, stride), [&](int32_t group) __attribute__((always_inline)) {
+        const int32_t* bounds = hand.bounds + BOUNDS * LANES * (int64_t)group;
+        each(0, touching(bounds, LANES), [&](int32_t i) __attribute__((always_inline)) {
+          const int32_t x0 = bounds[i] - tile.x - around, x1 = bounds[LANES + i] - tile.x + around;
+          const int32_t y0 = bounds[2 * LANES + i] - tile.y - around, y1 = bounds[3 * LANES + i] - tile.y + around;
+          act(LANES * group + i, Span{x0 < 0 ? 0 : x0, x1 < TILE_X ? x1 : TILE_X - 1, y0 < 0 ? 0 : y0,
+                                      y1 < TILE_Y ? y1 : TILE_Y - 1}, bounds[FACE_KIND * LANES + i]);
+        });
+      });
+    });
   }
 }
 
@@ -283,6 +289,19 @@ JG_INLINE vf covered_part(const Surface& tile, int32_t row, int32_t x) {
   return load(part);
 }
 
+// Calls act(what is kept of a face, its row, its pixels) for the few faces of a hand that share sixteen pixels.
+// face: (16) as `Surface` has them
+template <typename Act>
+JG_INLINE void each_shown(const DetailHand& hand, const int32_t* face, vi mine, Act act) {
+  vi faces;
+  memcpy(&faces, face, sizeof faces);
+  const vi before = JG_SHUFFLE(faces, faces, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14);
+  for (uint32_t first = bit_mask(mine) & (bit_mask(faces != before) | 1); first; first &= first - 1) {
+    const int32_t number = face[__builtin_ctz(first)], row = number & ((1 << FACE_BITS) - 1);
+    act(hand.planes + (int64_t)FACE_NUMBERS * row, row, faces == all(number));
+  }
+}
+
 // What is known of sixteen pixels by their faces. See `Plane`.
 struct Interpolated {
   vf at[LANES];         // at each pixel
@@ -290,29 +309,25 @@ struct Interpolated {
   vf of_face[4];        // OF_FACE
 };
 
-// face: (16) as `Surface` has them
+// x, y: of the first pixel
 template <bool has_relief>
-JG_INLINE Interpolated interpolate(const DetailHand& hand, const int32_t* face, vi mine, vf x, float y) {
+JG_INLINE Interpolated interpolate(const DetailHand& hand, const int32_t* face, vi mine, float x, float y) {
   Interpolated out = {};
   out.at[NEAR] = all(1.f);
-  vi faces;
-  memcpy(&faces, face, sizeof faces);
-  const vi before = JG_SHUFFLE(faces, faces, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14);
-  // few faces share sixteen pixels: where another one begins
-  for (uint32_t first = bit_mask(mine) & (bit_mask(faces != before) | 1); first; first &= first - 1) {
-    const int32_t number = face[__builtin_ctz(first)];
-    const float *f = hand.planes + (int64_t)FACE_NUMBERS * (number & ((1 << FACE_BITS) - 1)), *by_x = f + BY_X;
-    const vi same = faces == all(number);
-    const vf dx = x - f[X];
+  each_shown(hand, face, mine, [&](const float* f, int32_t, vi same) __attribute__((always_inline)) {
+    const float *by_x = f + BY_X, *by_y = f + BY_Y;
+    const vf dx = LANE + x - f[X];
     alignas(64) float at[LANES];
-    store(at, load(f) + (y - f[Y]) * load(f + BY_Y));
+    store(at, load(f) + (y - f[Y]) * load(by_y));
+    // unrolled, or what is chosen stays in memory, where some lanes alone would be stored: see `hidden`
+#pragma GCC unroll 16
     for (int k = NEAR; k <= (has_relief ? PART : WHOLE); k++) out.at[k] = select(same, dx * by_x[k] + at[k], out.at[k]);
-    for (int k = NEAR; k <= V; k++) {
-      out.by_x[k] = select(same, all(by_x[k]), out.by_x[k]);
-      out.by_y[k] = select(same, all(f[BY_Y + k]), out.by_y[k]);
-    }
-    if (has_relief) for (int k = 0; k < 4; k++) out.of_face[k] = select(same, all(f[OF_FACE[k]]), out.of_face[k]);
-  }
+#pragma GCC unroll 16
+    for (int k = NEAR; k <= V; k++)
+      out.by_x[k] = select(same, all(by_x[k]), out.by_x[k]), out.by_y[k] = select(same, all(by_y[k]), out.by_y[k]);
+#pragma GCC unroll 16
+    for (int k = 0; k < (has_relief ? 4 : 0); k++) out.of_face[k] = select(same, all(f[OF_FACE[k]]), out.of_face[k]);
+  });
   return out;
 }
 

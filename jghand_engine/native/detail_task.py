@@ -19,7 +19,7 @@ class DetailHand(ctypes.Structure):
 
     _fields_ = (
         *((name, _P) for name in ("surface", "vertex", "corner", "opposite", "corner_uv", "whole")),
-        *((name, _P) for name in ("planes", "bounds", "box", "texels")),
+        *((name, _P) for name in ("planes", "bounds", "box", "wide_box", "texels")),
         *((name, _I32) for name in ("size_log2", "groups")),
         *((name, _F32) for name in ("facing", "depth", "fade_from", "fade_to", "strength", "exponent", "cap")),
         *((name, _P) for name in ("learned", "normal", "nearest", "beside", "share", "bend", "slope", "gloss")),

@@ -85,18 +85,19 @@ JG_INLINE vf reaching(const LampDepth& d, const Pictured& at, const Slant& slant
   const vf deeper_x = at.n[0] * steep, deeper_y = at.n[1] * steep;
   const vf last = all((float)(d.size - 1));
   const float bias = BIAS_M * d.scale, over_ramp = 1.f / (RAMP_M * d.scale);
-  // what stands in a pixel: its depth, and how far it is before the plane of the place
-  const auto look = [&](vf column, vf row, vf& before) __attribute__((always_inline)) {
-    const vf dx = column + 0.5f - at.x, dy = row + 0.5f - at.y;
-    const vf near = gather(d.near, __builtin_convertvector(row * (float)d.size + column, vi));
-    const vf depth = d.orthographic ? -near : select(near > 0, inverse(near), all(DEEPEST_M));
-    before = at.z + deeper_x * dx + deeper_y * dy - bias - depth;
-    return depth;
+  // of what stands in a pixel: its depth, and how far it is before the plane of the place
+  const auto depth_of = [&](vf near) __attribute__((always_inline)) {
+    return d.orthographic ? -near : select(near > 0, inverse(near), all(DEEPEST_M));
   };
-  const auto hides = [&](vf column, vf row) __attribute__((always_inline)) {
-    vf before;
-    look(column, row, before);
-    return clamped(before * over_ramp);
+  const auto before_plane = [&](vf column, vf row, vf depth) __attribute__((always_inline)) {
+    const vf dx = column + 0.5f - at.x, dy = row + 0.5f - at.y;
+    return at.z + deeper_x * dx + deeper_y * dy - bias - depth;
+  };
+  const auto hides = [&](vf column, vf row, vf near) __attribute__((always_inline)) {
+    return clamped(before_plane(column, row, depth_of(near)) * over_ramp);
+  };
+  const auto place = [&](vf column, vf row) __attribute__((always_inline)) {
+    return __builtin_convertvector(row * (float)d.size + column, vi);
   };
   const vf least = all((FINE ? PIXEL_EDGE_MIN_M : EDGE_MIN_M) * d.scale);
   const vf widest = max(BEFORE_MAX_M * d.scale * sine, least), most = all(REACH_MAX * (float)d.size);
@@ -104,10 +105,10 @@ JG_INLINE vf reaching(const LampDepth& d, const Pictured& at, const Slant& slant
   const vf search = min(widest * px_per_m + (FINE ? 1.f : 0.f), most);
   vf count = {}, sum = {};
   for (int k = 0; k < TAPS; k++) {
-    vf before;
     const vf column = floor(min(max(at.x + d.disc[k] * search, vf{}), last));
-    const vf depth = look(column, floor(min(max(at.y + d.disc[TAPS + k] * search, vf{}), last)), before);
-    const vi stands = before > 0;
+    const vf row = floor(min(max(at.y + d.disc[TAPS + k] * search, vf{}), last));
+    const vf depth = depth_of(gather(d.near, place(column, row)));
+    const vi stands = before_plane(column, row, depth) > 0;
     count += select(stands, all(1.f), vf{}), sum += select(stands, depth, vf{});
   }
   if (!bit_mask(count > 0)) return all(1.f);
@@ -118,13 +119,18 @@ JG_INLINE vf reaching(const LampDepth& d, const Pictured& at, const Slant& slant
   for (int k = 0; k < TAPS; k++) {
     const vf x = at.x + d.disc[k] * edge, y = at.y + d.disc[TAPS + k] * edge;
     if (!FINE) {
-      hidden += hides(floor(min(max(x, vf{}), last)), floor(min(max(y, vf{}), last)));
+      const vf column = floor(min(max(x, vf{}), last)), row = floor(min(max(y, vf{}), last));
+      hidden += hides(column, row, gather(d.near, place(column, row)));
       continue;
     }
     const vf inside_x = min(max(x - 0.5f, vf{}), last - 1.f), inside_y = min(max(y - 0.5f, vf{}), last - 1.f);
     const vf column = floor(inside_x), row = floor(inside_y), fx = inside_x - column, fy = inside_y - row;
-    const vf upper = hides(column, row) * (1.f - fx) + hides(column + 1.f, row) * fx;
-    const vf lower = hides(column, row + 1.f) * (1.f - fx) + hides(column + 1.f, row + 1.f) * fx;
+    const auto line = [&](vf row) __attribute__((always_inline)) {
+      vi left, right;
+      gather_pairs<1>((const uint32_t*)d.near, place(column, row), left, right);
+      return hides(column, row, float_of(left)) * (1.f - fx) + hides(column + 1.f, row, float_of(right)) * fx;
+    };
+    const vf upper = line(row), lower = line(row + 1.f);
     hidden += upper + fy * (lower - upper);
   }
   return select(count > 0, 1.f - hidden * (1.f / TAPS), all(1.f));

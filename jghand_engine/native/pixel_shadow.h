@@ -36,23 +36,31 @@ inline Towards towards(const DetailTask& t, const LampDepth& d) {
   return out;
 }
 
-// Of the surface at sixteen pixels of a row, in the camera's axes: places, m, and unit normals.
+// Of the surface at sixteen pixels of a row from (left, y) on, in the camera's axes: places, m, and unit normals.
 struct Spot {
   vf p[3], n[3];
 };
-JG_INLINE Spot spot_of(const DetailTask& t, const DetailHand& hand, vi face, vi mine, const Interpolated& of, vf x, float y) {
-  const vf near = of.at[NEAR], z = t.orthographic ? -near : inverse(near), over = t.orthographic ? all(1.f) : z;
-  Spot spot = {{(x - t.cx) * over * (1.f / t.fx), (y - t.cy) * over * (1.f / t.fy), z}, {}};
+JG_INLINE Spot spot_of(const DetailTask& t, const DetailHand& hand, const int32_t* face, vi mine, float left, float y) {
+  const vf x = LANE + left;
   const int64_t rows = rows_of(hand);
-  const vi number = mine ? face & ((1 << FACE_BITS) - 1) : all(0);
-  const vi first = (number / LANES) * (3 * LANES) + number % LANES, plane = number * FACE_NUMBERS;
-  const vf dx = x - gather(hand.planes + X, plane), dy = y - gather(hand.planes + Y, plane);
-  for (int k = 0; k < 3; k++) {
-    const float* share = hand.planes + SHARE_0 + k;
-    const vf part = gather(share, plane) + dx * gather(share + BY_X, plane) + dy * gather(share + BY_Y, plane);
-    const vi row = gather_bits(hand.corner, first + k * LANES);
-    for (int i = 0; i < 3; i++) spot.n[i] += part * gather(hand.turned + i * rows, row);
-  }
+  vf near = all(1.f);
+  Spot spot = {};
+  each_shown(hand, face, mine, [&](const float* f, int32_t number, vi same) __attribute__((always_inline)) {
+    const float* by_x = f + BY_X;
+    const vf dx = x - f[X];
+    alignas(64) float at[LANES];
+    store(at, load(f) + (y - f[Y]) * load(f + BY_Y));
+    near = select(same, dx * by_x[NEAR] + at[NEAR], near);
+    vf n[3] = {};
+    for (int k = 0; k < 3; k++) {
+      const vf share = dx * by_x[SHARE_0 + k] + at[SHARE_0 + k];
+      const float* of_corner = hand.turned + hand.corner[(number / LANES * 3 + k) * LANES + number % LANES];
+      for (int i = 0; i < 3; i++) n[i] += share * of_corner[i * rows];
+    }
+    for (int i = 0; i < 3; i++) spot.n[i] = select(same, n[i], spot.n[i]);
+  });
+  const vf z = t.orthographic ? -near : inverse(near), over = t.orthographic ? all(1.f) : z;
+  spot.p[0] = (x - t.cx) * over * (1.f / t.fx), spot.p[1] = (y - t.cy) * over * (1.f / t.fy), spot.p[2] = z;
   make_unit(spot.n, SHARE2_MIN);
   return spot;
 }
@@ -111,10 +119,7 @@ inline bool ask_pixels(const DetailTask& t, const DetailHand& hand, int32_t numb
       // where a lamp has no picture for this hand Gaussians of another one reach here
       const vf asked = hand.pictures[layer].part * clamped(min(part, 1.f - part) * (1.f / EDGE_PART) - 1.f);
       if (bit_mask(lit & (asked > 0))) {
-        const vf at_x = LANE + ((float)left + 0.5f);
-        const float at_y = (float)y + 0.5f;
-        const Interpolated near = interpolate<false>(hand, &tile.face[row][x], mine, at_x, at_y);
-        const Spot spot = spot_of(t, hand, face, mine, near, at_x, at_y);
+        const Spot spot = spot_of(t, hand, &tile.face[row][x], mine, (float)left + 0.5f, (float)y + 0.5f);
         part += asked * (reaching_spot(hand.pictures[layer], to, spot, part) - part);
       }
       store(&reached.part[row][x], select(lit, part, all(-1.f)));

@@ -256,9 +256,11 @@ class _Faces:
             "planes": aligned_zeros((self.groups * LANES, FACE_VECTORS, LANES)),
             "bounds": aligned_zeros((self.groups, FACE_BOUNDS, LANES), np.int32),
             "box": aligned_zeros((4, padded_rows(self.groups)), np.int32),
+            "wide_box": aligned_zeros((4, padded_rows(padded_rows(self.groups) // LANES)), np.int32),
         }
         # what is beyond the last group touches nothing
-        self.arrays["box"][::2], self.arrays["box"][1::2] = np.iinfo(np.int32).max, -1
+        for name in ("box", "wide_box"):
+            self.arrays[name][::2], self.arrays[name][1::2] = np.iinfo(np.int32).max, -1
 
 
 class _Hand:
