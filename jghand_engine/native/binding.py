@@ -36,6 +36,7 @@ SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "jg_shade_backward": (None, (_P, _P, _P)),
     "jg_detail_hand_bytes": (_I32, ()),
     "jg_detail_task_bytes": (_I32, ()),
+    "jg_detail_surface": (None, (_P, _P)),
     "jg_detail": (None, (_P, _P)),
     "jg_ssim_task_bytes": (_I32, ()),
     "jg_ssim": (None, (_P, _P)),

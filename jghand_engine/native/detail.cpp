@@ -517,24 +517,52 @@ void cut_outside(const DetailTask& t, const Surface& tile) {
   }
 }
 
+JG_INLINE int32_t kind_of(const DetailTask& t, int32_t face) {
+  const int32_t row = face & ((1 << FACE_BITS) - 1);
+  return t.hands[face >> FACE_BITS].bounds[LANES * (BOUNDS * (row / LANES) + FACE_KIND) + row % LANES];
+}
+
 void keep_hits(const DetailTask& t, Surface& tile) {
   if (!tile.is_clear) clear(tile);
   const int32_t columns = t.width - tile.x < TILE_X ? t.width - tile.x : TILE_X;
   for (int32_t y = 0; y < TILE_Y && tile.y + y < t.height; y++) {
-    const int64_t first = (int64_t)(tile.y + y) * t.width + tile.x;
-    memcpy(t.hit + first, tile.face[y], columns * sizeof *t.hit);
-    memcpy(t.hit_near + first, tile.near[y], columns * sizeof *t.hit_near);
+    for (int32_t x = 0; tile.fades && t.outline > 0 && x < columns; x++)
+      if (tile.face[y][x] >= 0 && kind_of(t, tile.face[y][x]) & (FADES | CAP)) tile.near[y][x] = NOT_NEAR;
+    const int64_t row = tile.y + y;
+    memcpy(t.hit + row * t.width + tile.x, tile.face[y], columns * sizeof *t.hit);
+    memcpy(t.hit_near + row * t.near_stride + tile.x, tile.near[y], columns * sizeof *t.hit_near);
   }
+}
+
+// The nearest faces of a tile's pixels.
+void surface_tile(const DetailTask& t, int32_t item, int32_t tiles_x) {
+  Surface tile;
+  tile.x = item % tiles_x * TILE_X, tile.y = item / tiles_x * TILE_Y, tile.is_clear = tile.fades = false;
+  // one that is not drawn hides others all the same
+  for (int32_t hand = 0; hand < t.hand_count; hand++) cover_hand(tile, t.hands[hand], hand);
+  keep_hits(t, tile);
+}
+
+// Takes a tile's faces from where they were kept.
+void load_hits(const DetailTask& t, Surface& tile) {
+  tile.is_clear = tile.fades = false;
+  const int32_t left = tile.x < 0 ? -tile.x : 0, right = t.width - tile.x < TILE_X ? t.width - tile.x : TILE_X;
+  for (int32_t y = 0; y < TILE_Y; y++) {
+    if (tile.y + y < 0 || tile.y + y >= t.height) continue;
+    const int32_t* from = t.hit + (int64_t)(tile.y + y) * t.width + tile.x;
+    for (int32_t x = left; x < right && !tile.is_clear; x++)
+      if (from[x] >= 0) clear(tile);
+    if (tile.is_clear) memcpy(tile.face[y] + left, from + left, (right - left) * sizeof *from);
+  }
+  for (int32_t hand = 0; t.outline > 0 && hand < t.hand_count; hand++)
+    each_face(tile, t.hands[hand], 0, [&](int32_t, const Span&, int32_t kind) { tile.fades |= (kind & FADES) != 0; });
 }
 
 void shade_tile(const DetailTask& t, int32_t item, int32_t tiles_x) {
   Surface tile;
   const Apron apron = apron_of(t);
   tile.x = item % tiles_x * (TILE_X - 2 * apron.x) - apron.x, tile.y = item / tiles_x * (TILE_Y - 2 * apron.y) - apron.y;
-  tile.is_clear = tile.fades = false;
-  // one that is not drawn hides others all the same
-  for (int32_t hand = 0; hand < t.hand_count; hand++) cover_hand(tile, t.hands[hand], hand);
-  if (t.hit) return keep_hits(t, tile);
+  load_hits(t, tile);
   if (t.outline > 0) {
     for (int32_t hand = 0; tile.fades && hand < t.hand_count; hand++) mark_solid(tile, t.hands[hand]);
     for (int32_t hand = 0; hand < t.hand_count; hand++) doubt_outlines(tile, t.hands[hand]);
@@ -554,9 +582,9 @@ void shade_tile(const DetailTask& t, int32_t item, int32_t tiles_x) {
 JG_API int32_t jg_detail_hand_bytes() { return sizeof(jg::DetailHand); }
 JG_API int32_t jg_detail_task_bytes() { return sizeof(jg::DetailTask); }
 
-// Adds light that was drawn apart, multiplies the colors of a drawn picture by detail, and ends its hands, together with
-// the other threads of the team.
-JG_API void jg_detail(jg::Team* team, const jg::DetailTask* task) {
+// Where the surfaces are in an image: what Gaussians are drawn with, and then detail. The threads of a team call it
+// together.
+JG_API void jg_detail_surface(jg::Team* team, const jg::DetailTask* task) {
   const jg::DetailTask t = *task;
   const auto parts = [&](int step, auto count, auto work) {
     jg::share(*team, step, t.hand_count * jg::PARTS, [&](int32_t item) {
@@ -568,9 +596,16 @@ JG_API void jg_detail(jg::Team* team, const jg::DetailTask* task) {
   parts(0, [](const jg::DetailHand& hand) { return (int64_t)hand.surface->skin.blocks; }, jg::skin_vertices);
   parts(1, [](const jg::DetailHand& hand) { return (int64_t)hand.side_blocks; }, jg::round_sides);
   parts(2, [](const jg::DetailHand& hand) { return jg::groups_stride(hand.groups) / jg::LANES; }, jg::set_up_sixteen);
+  const int32_t tiles_x = (t.width + jg::TILE_X - 1) / jg::TILE_X, tiles_y = (t.height + jg::TILE_Y - 1) / jg::TILE_Y;
+  jg::share(*team, 3, tiles_x * tiles_y, [&](int32_t tile) { jg::surface_tile(t, tile, tiles_x); });
+}
+
+// Then, of a drawn picture: adds light that was drawn apart, multiplies the colors by detail, and ends its hands.
+JG_API void jg_detail(jg::Team* team, const jg::DetailTask* task) {
+  const jg::DetailTask t = *task;
   const int32_t step_x = jg::TILE_X - 2 * jg::apron_of(t).x, step_y = jg::TILE_Y - 2 * jg::apron_of(t).y;
   const int32_t tiles_x = (t.width + step_x - 1) / step_x, tiles_y = (t.height + step_y - 1) / step_y;
-  jg::share(*team, 3, tiles_x * tiles_y, [&](int32_t tile) { jg::shade_tile(t, tile, tiles_x); });
+  jg::share(*team, 4, tiles_x * tiles_y, [&](int32_t tile) { jg::shade_tile(t, tile, tiles_x); });
 }
 
 // Its first step alone, of hands whose surface somebody else draws: the web page.

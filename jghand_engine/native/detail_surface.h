@@ -58,8 +58,9 @@ inline int64_t rows_of(const DetailHand& hand) { return LANES * (int64_t)(hand.s
 struct DetailTask {
   const DetailHand* hands;
   float* picture;  // (5, H, W) premultiplied R G B, alpha, sum of weight * z
-  int32_t* hit;    // (H, W) row of the nearest face of the first hand, -1: none; null where colors are wanted
-  float* hit_near; // (H, W)
+  int32_t* hit;    // (H, W) the nearest face: its row, the hand's number above; -1: none
+  float* hit_near; // (H, W), rows near_stride apart: how near that is; where a hand ends in what fades, or its cap, and the
+                   // image has hands that end, as if there were none: what lies beneath is seen, too
   double camera_from_position[12];
   float fx, fy, cx, cy, z_near;
   float alpha_from, alpha_to;  // detail fades in between them: at the outline there is none
@@ -67,11 +68,12 @@ struct DetailTask {
   float outline;               // 0..1: how much of alpha is what the surfaces cover
   const float* const* layer;   // (layers): (4, H, W) each, light to be shadowed at each pixel: rgb, and the sum of these as
                                // far as Gaussians say that it reaches them
-  int32_t hand_count, width, height, orthographic, layers;
+  int32_t hand_count, width, height, orthographic, layers, near_stride;
 };
 
 JG_INLINE vi gather_bits(const void* p, vi index) { return bits_of(gather((const float*)p, index)); }
 
+constexpr float NOT_NEAR = -3.0e38f;  // how near nothing is
 constexpr int TILE_X = 64, TILE_Y = 32;
 // Columns and rows around what is drawn of a tile of which the nearest face is known, too: pixels beside its own may be
 // asked. So many columns that vectors of the picture begin where they do without them.
@@ -113,12 +115,12 @@ struct Surface {
   uint8_t most[TILE_Y][TILE_X];      // ... by the face above, where none covers the center
   int32_t x, y;
   bool is_clear;  // whether anything stands above: in most tiles nothing is seen
-  bool fades;     // whether a face above does
+  bool fades;     // whether a face that reaches into it does, or is of a cap
 };
 static_assert(TILE_X == 64 && LANES == 16, "a row of pixels is a word, samples of a pixel are a vector");
 
 inline void clear(Surface& tile) {
-  const vf nothing = all(-3.0e38f);
+  const vf nothing = all(NOT_NEAR);
   const vi no_face = all(-1);
   memset(tile.solid, 0, sizeof tile.solid), memset(tile.capped, 0, sizeof tile.capped);
   memset(tile.doubted, 0, sizeof tile.doubted);
@@ -192,7 +194,7 @@ JG_INLINE void each_face(const Surface& tile, const DetailHand& hand, int32_t ar
 inline void cover_hand(Surface& tile, const DetailHand& hand, int32_t number) {
   each_face(tile, hand, 0, [&](int32_t row, const Span& at, int32_t kind) __attribute__((always_inline)) {
     if (!tile.is_clear) clear(tile);
-    tile.fades |= kind & FADES;
+    tile.fades |= (kind & (FADES | CAP)) != 0;
     const float* face = hand.planes + FACE_NUMBERS * (int64_t)row;
     cover_face(tile, face, number << FACE_BITS | row, at.x0, at.x1, at.y0, at.y1);
   });

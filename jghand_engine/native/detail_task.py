@@ -43,7 +43,7 @@ class DetailTask(ctypes.Structure):
             for name in ("fx", "fy", "cx", "cy", "z_near", "alpha_from", "alpha_to", "graze_max", "outline")
         ),
         ("layer", _P),
-        *((name, _I32) for name in ("hand_count", "width", "height", "orthographic", "layers")),
+        *((name, _I32) for name in ("hand_count", "width", "height", "orthographic", "layers", "near_stride")),
     )
 
 

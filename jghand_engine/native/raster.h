@@ -62,6 +62,10 @@ struct RasterJob {
                           // a picture
   const float* layer;       // (layers, count, 4) colors that are drawn beside rgb, in the same way, where there is a `front`
   float* layer_planes;      // (layers, 4, height, width) of these
+  const float* surface;     // (height, width), rows surface_stride apart, with a pixel more on each side and up to four on
+                            // the last: how near the skin is, 1/z or, of parallel rays, -z, below -1e38 where there is none;
+                            // where there is some, Gaussians with a `front` that are not its own count less, see `Own`.
+                            // null: all count
   // scratch that forward leaves for backward
   Record* records;          // (count)
   TileRect* rects;          // (count): of culled ones x1 is -1
@@ -90,13 +94,14 @@ struct RasterJob {
   float z_near;                       // m
   float low_pass_m2;                  // squared width of the low pass where the Gaussians are, at least
   float log2_alpha_min, alpha_max, t_stop;
+  float own_before, own_behind, own_steepest, others_part;  // of that surface, see `Own`
   int32_t count, width, height, tiles_x, tiles_y;
   int32_t parts;                      // how finely the Gaussians are shared between threads; does not change the result
   int32_t visible, invalid;           // out
   int32_t status;                     // out
   int32_t orthographic;               // 1: parallel rays; fx and fy are px per meter then
   int32_t keeps_empty;                // 1: planes and tile_work are those of the last picture, or zeros
-  int32_t layers;
+  int32_t layers, surface_stride;
 };
 
 // Steps of the forward call. Ranges of Gaussians or of tiles are given as the item of a step.

@@ -4,6 +4,7 @@
 namespace jg {
 namespace {
 
+constexpr float ANY_DEPTH_M = 1e9f;
 constexpr int UNROLL = 4;  // Gaussians between two tests whether all pixels of a block are covered
 
 // What pixels get of Gaussians: their colors; and FRONT: the color of what is seen from outside and stands in front, and a
@@ -16,9 +17,49 @@ JG_INLINE float stop_of(const RasterJob& job) {
   return KIND == PLAIN ? job.t_stop : BENEATH_FROM;
 }
 
+// Which depths are those of the skin that a pixel shows: other Gaussians are of a finger before or behind it, and would
+// blur its edge. middle, half: m
+struct Own {
+  vf middle, half;
+};
+
+// From `own_before` before to `own_behind` behind the skin at the pixel and the four around it, more where it is steep, up
+// to `own_steepest` times; where there is none, all.
+JG_INLINE Own own_depths(const RasterJob& job, int32_t x, int32_t y) {
+  const Own all_depths = {vf{}, all(ANY_DEPTH_M)};
+  if (!job.surface) return all_depths;
+  const auto near_at = [&](int dx, int dy) __attribute__((always_inline)) {
+    vf near;
+    const float* from = job.surface + (int64_t)(y + dy) * job.surface_stride + x + dx;
+    for (int row = 0; row < BLOCK_PX; row++, from += job.surface_stride)
+      memcpy((char*)&near + 4 * BLOCK_PX * row, from, 4 * BLOCK_PX);
+    return near;
+  };
+  const auto is_there = [](vf near) { return near > -1e38f; };
+  const auto depth = [&](vf near) { return job.orthographic ? -near : 1.0f / near; };
+  const vf here = near_at(0, 0);
+  if (!bit_mask(is_there(here))) return all_depths;
+  const vf z = depth(here), per_m = job.orthographic ? all(1.0f) : here;
+  vf least = z, most = z, steep2 = {};
+  for (int axis = 0; axis < 2; axis++) {
+    vf change = all(ANY_DEPTH_M);
+    for (int side = -1; side <= 1; side += 2) {
+      const vf near = near_at(axis ? 0 : side, axis ? side : 0), beside = select(is_there(near), depth(near), z);
+      least = min(least, beside), most = max(most, beside);
+      change = min(change, select(is_there(near), abs(beside - z), all(ANY_DEPTH_M)));
+    }
+    const vf slope = change * per_m * (axis ? job.fy : job.fx);
+    steep2 += slope * slope;
+  }
+  const vf steep = min(sqrt(1.0f + steep2), all(job.own_steepest));
+  const vf low = least - job.own_before * steep, high = most + job.own_behind * steep;
+  return {select(is_there(here), 0.5f * (low + high), vf{}), select(is_there(here), 0.5f * (high - low), all(ANY_DEPTH_M))};
+}
+
 // One 4 x 4 block on its way through the list.
 struct Block {
   vf transmittance, r, g, b, depth, front, layer[4];
+  Own own;
 };
 
 template <int SQUARINGS, Kind KIND>
@@ -26,11 +67,14 @@ JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, c
   const vf x = LANE_X + (float)block_x(index), y = LANE_Y + (float)block_y(index);
   const float log2_alpha_min = job.log2_alpha_min, alpha_max = job.alpha_max, t_stop = stop_of<KIND>(job);
   vf T = block.transmittance, r = block.r, g = block.g, b = block.b, depth = block.depth, front = block.front;
+  const vf middle = block.own.middle, half = block.own.half, others = all(job.others_part);
   vf layer[4];
   for (int k = 0; k < 4; k++) layer[k] = block.layer[k];
   auto add = [&](int hit) __attribute__((always_inline)) {
     const Record& record = chunk.records[hit];
-    const vf weight = cover<SQUARINGS>(record, x, y, log2_alpha_min, alpha_max).alpha * T;
+    vf part = cover<SQUARINGS>(record, x, y, log2_alpha_min, alpha_max).alpha;
+    if (KIND != PLAIN) part = select(abs(record.z - middle) < half, part, part * others);
+    const vf weight = part * T;
     const vf shown = KIND != PLAIN ? weight * clamped((T - BENEATH_FROM) * (1.0f / (BENEATH_WHOLE - BENEATH_FROM))) : weight;
     const vf beneath = KIND != PLAIN ? max(T - weight, all(BENEATH_FROM)) : T - weight;
     const vf counted = KIND != PLAIN ? T - beneath : weight;
@@ -45,7 +89,7 @@ JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, c
     if (!bit_mask(T > t_stop)) n = 0;
   }
   for (; i < n; i++) add(hits.index[i]);
-  block = {T, r, g, b, depth, front, {layer[0], layer[1], layer[2], layer[3]}};
+  block = {T, r, g, b, depth, front, {layer[0], layer[1], layer[2], layer[3]}, block.own};
 }
 
 template <Kind KIND>
@@ -72,7 +116,10 @@ void blend_with(const RasterJob& job, int32_t index, int32_t layer) {
   uint32_t live = 0;  // blocks on the picture with a pixel that still lets light through
   for (int b = 0; b < BLOCKS; b++) {
     blocks[b] = {all(1.0f)};
-    if (tile.x + block_x(b) < job.width && tile.y + block_y(b) < job.height) live |= 1u << b;
+    const int32_t x = tile.x + block_x(b), y = tile.y + block_y(b);
+    if (x >= job.width || y >= job.height) continue;
+    live |= 1u << b;
+    if (KIND != PLAIN) blocks[b].own = own_depths(job, x, y);
   }
   const uint32_t on_picture = live;
   int32_t work = 0;

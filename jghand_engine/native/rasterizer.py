@@ -49,7 +49,7 @@ class _Job(ctypes.Structure):
 
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("position", "sigma", "covariance", "opacity", "rgb", "front")),
-        *((name, ctypes.c_void_p) for name in ("layer", "layer_planes")),
+        *((name, ctypes.c_void_p) for name in ("layer", "layer_planes", "surface")),
         *((name, ctypes.c_void_p) for name in ("records", "rects")),
         *((name, ctypes.c_void_p) for name in ("sort_a", "sort_b", "order", "summaries")),
         *((name, ctypes.c_void_p) for name in ("part_cursors", "tile_start", "tile_list", "tile_work", "planes")),
@@ -60,9 +60,10 @@ class _Job(ctypes.Structure):
         ("camera_from_position", ctypes.c_double * 12),
         *((name, ctypes.c_float) for name in ("fx", "fy", "cx", "cy", "z_near", "low_pass_m2")),
         *((name, ctypes.c_float) for name in ("log2_alpha_min", "alpha_max", "t_stop")),
+        *((name, ctypes.c_float) for name in ("own_before", "own_behind", "own_steepest", "others_part")),
         *((name, ctypes.c_int32) for name in ("count", "width", "height", "tiles_x", "tiles_y")),
         *((name, ctypes.c_int32) for name in ("parts", "visible", "invalid", "status", "orthographic")),
-        *((name, ctypes.c_int32) for name in ("keeps_empty", "layers")),
+        *((name, ctypes.c_int32) for name in ("keeps_empty", "layers", "surface_stride")),
     )
 
 
@@ -93,6 +94,24 @@ class GaussianArrays:
 
     def __len__(self) -> int:
         return len(self.position_m)
+
+
+# pixels around an image of a surface: kernels read blocks of pixels and those beside them
+SURFACE_MARGIN_PX = 4
+
+
+@dataclass(frozen=True)
+class SeenSurface:
+    """The skin that an image shows, see native/raster.h.
+
+    near:  (H + 8, W + 8) float32, with SURFACE_MARGIN_PX of nothing around it
+    scale: of its hand
+    part:  0..1 how much it counts that a Gaussian is not its own
+    """
+
+    near: np.ndarray
+    scale: float
+    part: float
 
 
 @dataclass(frozen=True)
@@ -152,6 +171,7 @@ class NativeRasterizer:
         self._prepared: GaussianArrays | None = None  # what is being drawn
         self._inputs: GaussianArrays | None = None  # what was drawn: the kernel reads them again in backward
         self._planes: np.ndarray | None = None
+        self._surface: SeenSurface | None = None
         self.layer_planes = np.zeros((0, 4, 0, 0), np.float32)
         # whether the last image was drawn into this object's own memory, which is empty when it is new
         self._own_planes = self._drew_own = True
@@ -213,6 +233,7 @@ class NativeRasterizer:
         # tiles that were empty in this object's own memory need not be cleared again
         self._own_planes, self._job.keeps_empty = planes is None, planes is None and self._drew_own
         self._prepare_layers(gaussians, view)
+        self._job.surface = self._surface = None
         self._drew_own = False
         self._planes = self._array("planes", shape, np.float32) if planes is None else planes
         self._job.planes = address(self._planes, np.float32, "planes", shape, writable=True)
@@ -232,6 +253,15 @@ class NativeRasterizer:
         job.layer_planes = self.layer_planes.ctypes.data
         # what was drawn there is older than the last image
         job.keeps_empty &= had == job.layers
+
+    def set_surface(self, surface: SeenSurface) -> None:
+        """Of the image that was prepared, which need not be there before `run`. Without it all Gaussians count alike."""
+        job, margin, self._surface = self._job, SURFACE_MARGIN_PX, surface
+        shape = (job.height + 2 * margin, job.width + 2 * margin)
+        address(surface.near, np.float32, "near", shape)
+        job.surface, job.surface_stride = surface.near[margin:, margin:].ctypes.data, shape[1]
+        job.own_before, job.own_behind = surface.scale * contract.OWN_BEFORE_M, surface.scale * contract.OWN_BEHIND_M
+        job.own_steepest, job.others_part = contract.OWN_STEEPEST, 1 - surface.part * (1 - contract.OTHERS_PART)
 
     def run(self, _thread: int = 0) -> None:
         """Draws what was prepared, together with the other threads of a pool."""

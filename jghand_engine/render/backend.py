@@ -214,6 +214,8 @@ class Backend:
             strengths = [canvas.detail[place] for place in self._detailed]
             seen = [canvas.seen[place] for place in self._detailed]
             detail.prepare(self._planes, camera, strengths, ends_hands=self._ends_hands, seen=seen)
+            if detail.seen_surface is not None:
+                self._rasterizer.set_surface(detail.seen_surface)
             depths = [self._depths[place] for place in self._detailed]
             detail.shadow_pixels(self._rasterizer.layer_planes[: len(layers)], depths)
         assert not layers or detail is not None or keep_image, "light that is drawn apart is added with the detail"
@@ -349,7 +351,7 @@ class _Work:
         shade: NativeShade,
     ) -> None:
         self._skins, self._shining, self._rasterizer, self._shade = skins, shining, rasterizer, shade
-        self._detail, self._times = detail, [0.0] * 6
+        self._detail, self._times = detail, [0.0] * 7
 
     def run(self, pool: WorkerPool) -> None:
         if self._rasterizer is not None and self._rasterizer.finishes_elsewhere:
@@ -375,7 +377,7 @@ class _Work:
         self._walk_from_planes(thread)
 
     def _walk_to_lists(self, thread: int) -> None:
-        times = self._times if thread == 0 else [0.0] * 6
+        times = self._times if thread == 0 else [0.0] * 7
         times[0] = time.perf_counter()
         for hand in self._skins:
             hand.run()
@@ -383,22 +385,25 @@ class _Work:
         for hand in self._shining:
             hand.run_gloss()
         times[2] = time.perf_counter()
+        if self._detail is not None:
+            self._detail.find_surface()
+        times[3] = time.perf_counter()
         if self._rasterizer is not None:
             self._rasterizer.run()
 
     def _walk_from_planes(self, thread: int) -> None:
-        times = self._times if thread == 0 else [0.0] * 6
-        times[3] = time.perf_counter()
+        times = self._times if thread == 0 else [0.0] * 7
+        times[4] = time.perf_counter()
         if self._detail is not None:
             self._detail.run()
-        times[4] = time.perf_counter()
-        self._shade.run()
         times[5] = time.perf_counter()
+        self._shade.run()
+        times[6] = time.perf_counter()
 
     def report_to(self, report: FrameReport, first: str, last: str) -> None:
         """Writes the stages into the report; `first` is what was done to the skins, `last` what the shade call did."""
         steps = itertools.pairwise(self._times)
-        skin_ms, gloss_ms, raster_ms, detail_ms, shade_ms = (1e3 * (end - start) for start, end in steps)
+        skin_ms, gloss_ms, surface_ms, raster_ms, detail_ms, shade_ms = (1e3 * (end - start) for start, end in steps)
         if self._skins:
             report.ran(first, skin_ms)
         if self._shining:
@@ -406,5 +411,5 @@ class _Work:
         if self._rasterizer is not None:
             report.ran(RASTER, raster_ms)
         if self._detail is not None:
-            report.ran(DETAIL, detail_ms)
+            report.ran(DETAIL, surface_ms + detail_ms)
         report.ran(last, shade_ms)

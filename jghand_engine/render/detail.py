@@ -35,6 +35,7 @@ from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
 from jghand_engine.native.detail_task import FACE_BOUNDS, FACE_VECTORS, TEXEL_BITS, DetailHand, DetailTask
 from jghand_engine.native.learned_tasks import CorrectiveKind
+from jghand_engine.native.rasterizer import SURFACE_MARGIN_PX, SeenSurface
 from jghand_engine.native.scene_light_task import LampDepth
 from jghand_engine.native.tasks import LANES
 from jghand_engine.native.threads import WorkerPool, shared_pool
@@ -54,6 +55,8 @@ FINGER_RADIUS_M = 0.008
 # values of a byte
 BYTES = 256
 # log2 of a ratio over the range of a channel of a packed texel
+# how near nothing is, see native/detail_surface.h
+NOT_NEAR = np.float32(-3e38)
 _LOG2_PER_CHANNEL = LOG_RATIO_MAX / RATIO_STEPS / STEPS_PER_BYTE / np.log(2.0) * (1 << TEXEL_BITS)
 
 
@@ -117,6 +120,8 @@ class NativeDetail:
         self.team = new_team()
         # what the task points to
         self._keep: np.ndarray | None = None
+        # of the image: nearest faces, and how near
+        self._hit, self._near = np.empty((0, 0), np.int32), np.empty((0, 0), np.float32)
         self._faces: np.ndarray | None = None  # that `surfaces` finds on the way
         self._lit: list[object] = []
 
@@ -127,7 +132,7 @@ class NativeDetail:
             task.depth, task.fade_from, task.fade_to = (
                 own.scale * length_m for length_m in (hand.depth_m, FADE_FROM_M, FADE_TO_M)
             )
-            hand.rise_m = own.scale * hand.range_m
+            hand.rise_m, hand.scale = own.scale * hand.range_m, own.scale
 
     def prepare(
         self,
@@ -146,6 +151,8 @@ class NativeDetail:
         task, self._keep = self._task, planes
         shape = (5, camera.height, camera.width)
         task.picture = None if planes is None else address(planes, np.float32, "planes", shape, writable=True)
+        if planes is not None:
+            self._keep_hits(camera)
         task.width, task.height, task.orthographic = camera.width, camera.height, camera.orthographic
         task.fx, task.fy, task.cx, task.cy = camera.fx, camera.fy, camera.cx, camera.cy
         task.camera_from_position[:] = camera.camera_from_world[:3].ravel().tolist()
@@ -162,6 +169,24 @@ class NativeDetail:
             own.cap = hand.cap_seen(camera.eye_m)
         task.layers, self._lit = 0, []
         self.team.fill(0)
+
+    def _keep_hits(self, camera: Camera) -> None:
+        shape, margin = (camera.height, camera.width), SURFACE_MARGIN_PX
+        if self._hit.shape != shape:
+            self._hit = np.empty(shape, np.int32)
+            self._near = np.full([length + 2 * margin for length in shape], NOT_NEAR)
+        self._set_hits(self._hit, self._near[margin:-margin, margin:-margin])
+
+    def _set_hits(self, face: np.ndarray, near: np.ndarray) -> None:
+        task = self._task
+        task.hit, task.hit_near, task.near_stride = face.ctypes.data, near.ctypes.data, near.strides[0] // near.itemsize
+
+    @property
+    def seen_surface(self) -> SeenSurface | None:
+        """That of the image that was prepared, once `find_surface` ran; None where hands do not end with it."""
+        if self._task.outline == 0:
+            return None
+        return SeenSurface(self._near, max(hand.scale for hand in self._hands), self._task.outline)
 
     def shadow_pixels(self, layers: np.ndarray, lamps: Sequence[Mapping[int, LampDepth]]) -> None:
         """Sets which light is added to the image that was prepared as far as it reaches each pixel.
@@ -198,6 +223,7 @@ class NativeDetail:
     def rest(self) -> None:
         """Lets go of the last image."""
         self._keep, self._faces, self._lit = None, None, []
+        self._hit, self._near = np.empty((0, 0), np.int32), np.empty((0, 0), np.float32)
 
     def rows_of_vertices(self, hand: int) -> np.ndarray:
         """(V,) in which row of `surfaces` each vertex of a hand stands."""
@@ -208,17 +234,16 @@ class NativeDetail:
     ) -> None:
         """Fills face (H, W) int32 with numbers of the nearest faces and those of their hands, -1 where there are none,
         and near (H, W) float32 with how near they are."""
-        task = self._task
         self.prepare(None, camera, [0.0] * len(self._hands), from_within=from_within)
-        task.hit, task.hit_near = face.ctypes.data, near.ctypes.data
-        try:
-            pool.run(lambda _thread: self.run())
-        finally:
-            # the arrays are their owner's
-            task.hit = task.hit_near = None
+        self._set_hits(face, near)
+        pool.run(lambda _thread: self.find_surface())
+
+    def find_surface(self) -> None:
+        """Finds the nearest faces of what was prepared; every thread of a team calls it."""
+        self._call.jg_detail_surface(self.team.ctypes.data, ctypes.addressof(self._task))
 
     def run(self) -> None:
-        """Draws what was prepared; every thread of a team calls it."""
+        """Then draws; every thread of a team calls it."""
         self._call.jg_detail(self.team.ctypes.data, ctypes.addressof(self._task))
 
 
@@ -303,7 +328,7 @@ class _Hand:
             surface=ctypes.addressof(self._surface),
             size_log2=detail.size.bit_length() - 1,
         )
-        self.range_m, self.rise_m, self._bend = 0.0, 0.0, None
+        self.range_m, self.rise_m, self.scale, self._bend = 0.0, 0.0, 1.0, None
         if hand.light is not None and slopes is not None:
             self.range_m = slopes.step_m * BYTES
             self._bend = Bend(detail.position_m, finger_shares(detail.bone_weights), hand.joints_m)
