@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
 import torch
 from torch.utils.checkpoint import checkpoint
 
@@ -17,8 +18,11 @@ from jghand_engine.errors import InputError
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.light import smooth as smoothstep
 from jghand_engine.native import contract
+from jghand_engine.native.rasterizer import SURFACE_MARGIN_PX, SeenSurface
 from jghand_engine.render.camera import Camera
 
+# as kernels store it
+NOT_NEAR = float(np.float32(contract.NOT_NEAR))
 # pairs of pixel and Gaussian that are held at once: some 30 MB per intermediate in float64
 REFERENCE_PAIRS_AT_ONCE = 4_000_000
 
@@ -80,12 +84,18 @@ class _Ellipses:
 
 
 def rasterize_reference(
-    gaussians: Gaussians, camera: Camera, *, alpha_min: float = contract.ALPHA_MIN, smooth: bool = False
+    gaussians: Gaussians,
+    camera: Camera,
+    *,
+    alpha_min: float = contract.ALPHA_MIN,
+    smooth: bool = False,
+    surface: SeenSurface | None = None,
 ) -> Picture:
     """Draws `gaussians` as `camera` sees them.
 
     alpha_min: contributions below it are zero, by a hard step as the contract says, or with `smooth` by a C1 step over
-    [alpha_min, 2 alpha_min], which only finite-difference tests want.
+    [alpha_min, 2 alpha_min], which only finite-difference tests want. surface: of the image, where Gaussians with a
+    `front` that are not its own count less.
     InputError names a tensor of a wrong shape or dtype. Values that cannot be drawn are left out and counted.
     """
     check_gaussians(gaussians)
@@ -95,7 +105,10 @@ def rasterize_reference(
     with torch.no_grad():
         kept, invalid = _select(gaussians, position_c, camera, alpha_min)
     ellipses = _project(gaussians, position_c, kept, camera)
-    draw = partial(_draw_tiles, camera=camera, alpha_min=alpha_min, smooth=smooth, fills=gaussians.front is not None)
+    own = None if surface is None or gaussians.front is None else _Own(own_depths(surface, camera), surface.part)
+    draw = partial(
+        _draw_tiles, camera=camera, alpha_min=alpha_min, smooth=smooth, fills=gaussians.front is not None, own=own
+    )
     picture = Picture.from_planes(draw(ellipses), visible_gaussians=len(kept), invalid_gaussians=invalid)
     if gaussians.front is None:
         return picture
@@ -106,6 +119,35 @@ def rasterize_reference(
     gain = cover[..., None] / torch.maximum(front, (contract.FRONT_MIN * alpha[..., None]).clamp_min(tiny))
     depth_sum = picture.depth_sum * cover / alpha.clamp_min(tiny)
     return replace(picture, rgb=picture.rgb * gain, alpha=cover, depth_sum=depth_sum)
+
+
+@dataclass(frozen=True)
+class _Own:
+    """depths: (H, W, 2) from which to which Gaussians are a pixel's own, m, or (P, 2) · part: how much that counts"""
+
+    depths: torch.Tensor
+    part: float
+
+
+def own_depths(surface: SeenSurface, camera: Camera) -> torch.Tensor:
+    """(H, W, 2) float64, meters: from which depth to which a Gaussian is of the skin that a pixel shows. From a little
+    before to a little behind that of the pixel and the four around it, farther where it is steep; all, where none is."""
+    margin, near = SURFACE_MARGIN_PX, torch.from_numpy(surface.near).to(torch.float64)
+
+    def depth(down: int, right: int) -> torch.Tensor:
+        rows, columns = slice(margin + down, margin + down + camera.height), slice(margin + right, margin + right + camera.width)
+        here = near[rows, columns]
+        return torch.where(here > NOT_NEAR, -here if camera.orthographic else 1 / here, math.nan)
+
+    middle, steep2 = depth(0, 0), 1.0
+    beside = [[depth(0, side) for side in (-1, 1)], [depth(side, 0) for side in (-1, 1)]]
+    for axis, focal in zip(beside, (camera.fx, camera.fy), strict=True):
+        change = torch.stack([(each - middle).abs().nan_to_num(nan=math.inf) for each in axis]).amin(0)
+        steep2 = steep2 + (change * (focal if camera.orthographic else focal / middle)) ** 2
+    steep = torch.as_tensor(steep2).sqrt().clamp(max=contract.OWN_STEEPEST) * surface.scale
+    around = torch.stack([middle, *(torch.where(each.isnan(), middle, each) for axis in beside for each in axis)])
+    least, most = around.amin(0) - contract.OWN_BEFORE_M * steep, around.amax(0) + contract.OWN_BEHIND_M * steep
+    return torch.stack([least.nan_to_num(nan=-math.inf), most.nan_to_num(nan=math.inf)], -1)
 
 
 def check_gaussians(gaussians: Gaussians) -> None:
@@ -255,8 +297,10 @@ def _boxes(ellipses: _Ellipses, alpha_min: float) -> torch.Tensor:
     return torch.stack([e.u - rx, e.u + rx, e.v - ry, e.v + ry])
 
 
-def _draw_tiles(ellipses: _Ellipses, camera: Camera, *, alpha_min: float, smooth: bool, fills: bool) -> torch.Tensor:
-    """Planes (5, H, W), tile by tile. fills: see `_blend`"""
+def _draw_tiles(
+    ellipses: _Ellipses, camera: Camera, *, alpha_min: float, smooth: bool, fills: bool, own: _Own | None
+) -> torch.Tensor:
+    """Planes (5, H, W), tile by tile. fills, own: see `_blend`"""
     with torch.no_grad():
         left, right, top, bottom = _boxes(ellipses, alpha_min)
     tile, rows = contract.TILE_PX, []
@@ -269,7 +313,10 @@ def _draw_tiles(ellipses: _Ellipses, camera: Camera, *, alpha_min: float, smooth
             width = min(tile, camera.width - x)
             index = in_row[(row_right > x) & (row_left < x + tile)]
             pixels = _pixel_centers(x, y, width, height, ellipses.u)
-            values = _draw_pixels(ellipses.select(index), pixels, alpha_min=alpha_min, smooth=smooth, fills=fills)
+            here = own and replace(own, depths=own.depths[y : y + height, x : x + width].reshape(-1, 2))
+            values = _draw_pixels(
+                ellipses.select(index), pixels, alpha_min=alpha_min, smooth=smooth, fills=fills, own=here
+            )
             columns.append(values.reshape(height, width, 5))
         rows.append(torch.cat(columns, 1))
     return torch.cat(rows, 0).permute(2, 0, 1)
@@ -283,9 +330,9 @@ def _pixel_centers(x: int, y: int, width: int, height: int, like: torch.Tensor) 
 
 
 def _draw_pixels(
-    ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float, smooth: bool, fills: bool
+    ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float, smooth: bool, fills: bool, own: _Own | None
 ) -> torch.Tensor:
-    """(P, 5): R G B A D of P pixels, as many at a time as fit into the memory allowed. fills: see `_blend`"""
+    """(P, 5): R G B A D of P pixels, as many at a time as fit into the memory allowed. fills, own: see `_blend`"""
     count = ellipses.u.shape[0]
     if count == 0:
         return ellipses.features.sum(0).expand(pixels.shape[0], 5)  # zeros that belong to the graph
@@ -293,7 +340,11 @@ def _draw_pixels(
     tensors = [getattr(ellipses, name) for name in ellipses.__dataclass_fields__]
 
     def blend(some: torch.Tensor, *fields: torch.Tensor) -> torch.Tensor:
-        return _blend(_Ellipses(*fields), some, alpha_min=alpha_min, smooth=smooth, fills=fills)
+        here = own and replace(own, depths=some[:, 2:])
+        return _blend(_Ellipses(*fields), some[:, :2], alpha_min=alpha_min, smooth=smooth, fills=fills, own=here)
+
+    if own:
+        pixels = torch.cat([pixels, own.depths.to(pixels)], 1)
 
     parts = []
     for some in pixels.split(at_once):
@@ -304,15 +355,21 @@ def _draw_pixels(
     return torch.cat(parts)
 
 
-def _blend(ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float, smooth: bool, fills: bool) -> torch.Tensor:
+def _blend(
+    ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float, smooth: bool, fills: bool, own: _Own | None
+) -> torch.Tensor:
     """(P, 5) sums of weight times features, front to back; column 3 is 1 - transmittance. fills: what stands beneath
-    gives a part of its color alone, and at last nothing, as the contract has it for Gaussians with `front`"""
+    gives a part of its color alone, and at last nothing, as the contract has it for Gaussians with `front` · own: of
+    the pixels, the rest counts less"""
     e = ellipses
     dx, dy = pixels[:, :1] - e.u, pixels[:, 1:] - e.v
     q = 0.5 * (e.c * dx * dx - 2 * e.b * dx * dy + e.a * dy * dy) / e.det
     alpha = _cut(e.opacity * torch.exp(-q), alpha_min, smooth=smooth)
     # `where` and not `clamp`: at the cap the gradient is zero
     alpha = torch.where(alpha < contract.ALPHA_MAX, alpha, torch.full_like(alpha, contract.ALPHA_MAX))
+    if own:
+        is_own = (e.z > own.depths[:, :1]) & (e.z < own.depths[:, 1:])
+        alpha = torch.where(is_own, alpha, alpha * (1 - own.part * (1 - contract.OTHERS_PART)))
     behind = torch.cumprod(1 - alpha, 1)
     transmittance = torch.cat([torch.ones_like(behind[:, :1]), behind[:, :-1]], 1)
     weight = alpha * transmittance

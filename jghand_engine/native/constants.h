@@ -12,6 +12,7 @@ constexpr float COVER_FROM = 0.15f;
 constexpr float BENEATH_FROM = 0.1f;
 constexpr float BENEATH_WHOLE = 0.5f;
 constexpr float COVER_WHOLE = 0.9f;
+constexpr float NOT_NEAR = -3e38f;
 constexpr double COVARIANCE_SLACK = 1e-6;
 constexpr int TILE_PX = 16;
 constexpr int BLOCK_PX = 4;

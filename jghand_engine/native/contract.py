@@ -39,6 +39,8 @@ COVER_WHOLE = 1 - BENEATH_FROM
 # 1, more where it is steep, up to so many times: they lie 0.5 mm below it, and are a millimeter wide. Others, of a finger
 # before or behind, have this part of their alpha, so that skin without Gaussians of its own has a color, too
 OWN_BEFORE_M, OWN_BEHIND_M, OWN_STEEPEST, OTHERS_PART = 1.5e-3, 3e-3, 4.0, 0.1
+# how near nothing is, 1/m
+NOT_NEAR = -3e38
 # coordinates beyond this are counted as invalid, meters: depth is blended like a color, and has the same limit
 POSITION_MAX_M = 1e6
 # a covariance is positive semi-definite when it is with this part of its trace added to the diagonal: what float32

@@ -554,8 +554,6 @@ void load_hits(const DetailTask& t, Surface& tile) {
       if (from[x] >= 0) clear(tile);
     if (tile.is_clear) memcpy(tile.face[y] + left, from + left, (right - left) * sizeof *from);
   }
-  for (int32_t hand = 0; t.outline > 0 && hand < t.hand_count; hand++)
-    each_face(tile, t.hands[hand], 0, [&](int32_t, const Span&, int32_t kind) { tile.fades |= (kind & FADES) != 0; });
 }
 
 void shade_tile(const DetailTask& t, int32_t item, int32_t tiles_x) {
@@ -564,8 +562,8 @@ void shade_tile(const DetailTask& t, int32_t item, int32_t tiles_x) {
   tile.x = item % tiles_x * (TILE_X - 2 * apron.x) - apron.x, tile.y = item / tiles_x * (TILE_Y - 2 * apron.y) - apron.y;
   load_hits(t, tile);
   if (t.outline > 0) {
-    for (int32_t hand = 0; tile.fades && hand < t.hand_count; hand++) mark_solid(tile, t.hands[hand]);
     for (int32_t hand = 0; hand < t.hand_count; hand++) doubt_outlines(tile, t.hands[hand]);
+    for (int32_t hand = 0; tile.fades && hand < t.hand_count; hand++) mark_solid(tile, t.hands[hand]);
     for (int32_t hand = 0; tile.is_clear && hand < t.hand_count; hand++) sample_hand(tile, t.hands[hand], hand);
     cut_outside(t, tile);
   }

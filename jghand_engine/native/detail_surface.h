@@ -1,6 +1,7 @@
 // Which face of a hand's surface is the nearest at each pixel of a tile, and which part of a pixel faces cover where the
 // hand ends. Faces are set up in detail.cpp.
 #pragma once
+#include "constants.h"
 #include "scene_light.h"
 #include "skin.h"
 
@@ -73,7 +74,6 @@ struct DetailTask {
 
 JG_INLINE vi gather_bits(const void* p, vi index) { return bits_of(gather((const float*)p, index)); }
 
-constexpr float NOT_NEAR = -3.0e38f;  // how near nothing is
 constexpr int TILE_X = 64, TILE_Y = 32;
 // Columns and rows around what is drawn of a tile of which the nearest face is known, too: pixels beside its own may be
 // asked. So many columns that vectors of the picture begin where they do without them.
@@ -208,6 +208,7 @@ inline void doubt_outlines(Surface& tile, const DetailHand& hand) {
   each_face(tile, hand, 1, [&](int32_t row, const Span& at, int32_t kind) __attribute__((always_inline)) {
     if (!kind) return;
     if (!tile.is_clear) clear(tile);
+    tile.fades |= (kind & FADES) != 0;
     const float* face = hand.planes + FACE_NUMBERS * (int64_t)row;
     for (int side = 0; side < 3; side++) {
       if (!(kind >> side & 1)) continue;

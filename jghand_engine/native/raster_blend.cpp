@@ -35,7 +35,7 @@ JG_INLINE Own own_depths(const RasterJob& job, int32_t x, int32_t y) {
       memcpy((char*)&near + 4 * BLOCK_PX * row, from, 4 * BLOCK_PX);
     return near;
   };
-  const auto is_there = [](vf near) { return near > -1e38f; };
+  const auto is_there = [](vf near) { return near > NOT_NEAR; };
   const auto depth = [&](vf near) { return job.orthographic ? -near : 1.0f / near; };
   const vf here = near_at(0, 0);
   if (!bit_mask(is_there(here))) return all_depths;

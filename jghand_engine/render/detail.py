@@ -55,8 +55,6 @@ FINGER_RADIUS_M = 0.008
 # values of a byte
 BYTES = 256
 # log2 of a ratio over the range of a channel of a packed texel
-# how near nothing is, see native/detail_surface.h
-NOT_NEAR = np.float32(-3e38)
 _LOG2_PER_CHANNEL = LOG_RATIO_MAX / RATIO_STEPS / STEPS_PER_BYTE / np.log(2.0) * (1 << TEXEL_BITS)
 
 
@@ -174,7 +172,7 @@ class NativeDetail:
         shape, margin = (camera.height, camera.width), SURFACE_MARGIN_PX
         if self._hit.shape != shape:
             self._hit = np.empty(shape, np.int32)
-            self._near = np.full([length + 2 * margin for length in shape], NOT_NEAR)
+            self._near = np.full([length + 2 * margin for length in shape], contract.NOT_NEAR, np.float32)
         self._set_hits(self._hit, self._near[margin:-margin, margin:-margin])
 
     def _set_hits(self, face: np.ndarray, near: np.ndarray) -> None:

@@ -11,7 +11,13 @@ from jghand_engine.errors import InputError
 from jghand_engine.learn.reference import rasterize_reference
 from jghand_engine.native import contract
 from jghand_engine.native.library import load, runnable_variants
-from jghand_engine.native.rasterizer import GaussianArrays, NativeRasterizer, View
+from jghand_engine.native.rasterizer import (
+    SURFACE_MARGIN_PX,
+    GaussianArrays,
+    NativeRasterizer,
+    SeenSurface,
+    View,
+)
 
 pytestmark = pytest.mark.skipif(not runnable_variants(), reason="no native library runs here")
 
@@ -116,6 +122,55 @@ def test_pixels_have_the_color_of_what_is_seen_of_them_from_outside():
     # outlines are sharper, and colors brighter, as what faces away is left out of their mean
     assert np.abs(drawn[3] - plain[3]).max() > 0.05
     assert np.abs(drawn[:3] - plain[:3]).max() > 0.1
+
+
+def seen_surface(near: np.ndarray, part: float = 1.0) -> SeenSurface:
+    """near: (H, W)"""
+    return SeenSurface(np.pad(near.astype(np.float32), SURFACE_MARGIN_PX, constant_values=contract.NOT_NEAR), 1.0, part)
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_gaussians_that_are_not_of_the_skin_that_a_pixel_shows_count_less(orthographic):
+    """Of a surface with steps and holes, as the reference has it."""
+    arrays, random_ = hand_arrays(2000), np.random.default_rng(1)
+    front = np.ones(2000, np.float32)
+    camera = replace(camera_for(80, 50), fx=1500.0, fy=1400.0, orthographic=True) if orthographic else camera_for(80, 50)
+    view = replace(view_for(80, 50), fx=camera.fx, fy=camera.fy, orthographic=orthographic)
+    hand = in_precision(replace(hand_gaussians(2000, sigma_mm=(1, 2)), front=torch.from_numpy(front)), torch.float64)
+    depth_m = rasterize_reference(hand, camera).depth_m.numpy()
+    shown_m = depth_m + np.repeat(random_.choice([-0.02, 0.0, 0.0, 0.01], (50, 8)), 10, 1)
+    is_there = (depth_m > 0) & (random_.random((50, 80)) < 0.9)
+    near = np.where(is_there, -shown_m if orthographic else 1 / np.where(is_there, shown_m, 1), contract.NOT_NEAR)
+    one, surface = rasterizer(), seen_surface(near, part=0.8)
+    every = one.forward(replace(arrays, front=front), view).copy()
+    drawn = one.prepare(replace(arrays, front=front), view)
+    one.set_surface(surface)
+    one.run()
+    assert one.finished()
+    exact = planes_of(rasterize_reference(hand, camera, surface=surface)).numpy()
+    difference = np.abs(drawn - exact)
+    assert np.quantile(difference, 0.995) < 1e-5
+    # one at the end of what is own may fall on either side of it
+    assert (difference > 1e-3).mean() < 2e-3
+    assert (np.abs(drawn - every) > 0.02).any(0).mean() > 0.05
+
+
+def test_a_finger_before_another_does_not_blur_its_skin():
+    position_m = np.array([[0, 0, 0.3], [0, 0, 0.31]], np.float32)
+    rgb = np.array([[1, 0, 0], [0, 1, 0]], np.float32)
+    fingers = GaussianArrays(position_m, np.full(2, 0.01, np.float32), np.full(2, 0.6, np.float32), rgb)
+    fingers = replace(fingers, front=np.ones(2, np.float32))
+    one, view = rasterizer(), View(5, 5, 300.0, 300.0, 2.5, 2.5, np.eye(3, 4))
+
+    def red_part(skin_m: float) -> float:
+        planes = one.prepare(fingers, view)
+        one.set_surface(seen_surface(np.full((5, 5), 1 / skin_m)))
+        one.run()
+        assert one.finished()
+        return planes[0, 2, 2] / planes[3, 2, 2]
+
+    assert red_part(0.3) > 0.9
+    assert red_part(0.31) < 0.2
 
 
 def test_what_stands_beneath_a_thin_layer_gives_it_no_color():
