@@ -131,7 +131,7 @@ class _Own:
 
 def own_depths(surface: SeenSurface, camera: Camera) -> torch.Tensor:
     """(H, W, 2) float64, meters: from which depth to which a Gaussian is of the skin that a pixel shows. From a little
-    before to a little behind that of the pixel and the four around it, farther where it is steep; all, where none is."""
+    before to a little behind it, farther where it is steep; all, where there is none."""
     margin, near = SURFACE_MARGIN_PX, torch.from_numpy(surface.near).to(torch.float64)
 
     def depth(down: int, right: int) -> torch.Tensor:
@@ -145,8 +145,7 @@ def own_depths(surface: SeenSurface, camera: Camera) -> torch.Tensor:
         change = torch.stack([(each - middle).abs().nan_to_num(nan=math.inf) for each in axis]).amin(0)
         steep2 = steep2 + (change * (focal if camera.orthographic else focal / middle)) ** 2
     steep = torch.as_tensor(steep2).sqrt().clamp(max=contract.OWN_STEEPEST) * surface.scale
-    around = torch.stack([middle, *(torch.where(each.isnan(), middle, each) for axis in beside for each in axis)])
-    least, most = around.amin(0) - contract.OWN_BEFORE_M * steep, around.amax(0) + contract.OWN_BEHIND_M * steep
+    least, most = middle - contract.OWN_BEFORE_M * steep, middle + contract.OWN_BEHIND_M * steep
     return torch.stack([least.nan_to_num(nan=-math.inf), most.nan_to_num(nan=math.inf)], -1)
 
 

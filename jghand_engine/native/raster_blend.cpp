@@ -23,8 +23,8 @@ struct Own {
   vf middle, half;
 };
 
-// From `own_before` before to `own_behind` behind the skin at the pixel and the four around it, more where it is steep, up
-// to `own_steepest` times; where there is none, all.
+// From `own_before` before to `own_behind` behind the skin, more where it is steep, up to `own_steepest` times; where there
+// is none, all.
 JG_INLINE Own own_depths(const RasterJob& job, int32_t x, int32_t y) {
   const Own all_depths = {vf{}, all(ANY_DEPTH_M)};
   if (!job.surface) return all_depths;
@@ -40,20 +40,20 @@ JG_INLINE Own own_depths(const RasterJob& job, int32_t x, int32_t y) {
   const vf here = near_at(0, 0);
   if (!bit_mask(is_there(here))) return all_depths;
   const vf z = depth(here), per_m = job.orthographic ? all(1.0f) : here;
-  vf least = z, most = z, steep2 = {};
+  vf steep2 = {};
   for (int axis = 0; axis < 2; axis++) {
     vf change = all(ANY_DEPTH_M);
     for (int side = -1; side <= 1; side += 2) {
-      const vf near = near_at(axis ? 0 : side, axis ? side : 0), beside = select(is_there(near), depth(near), z);
-      least = min(least, beside), most = max(most, beside);
-      change = min(change, select(is_there(near), abs(beside - z), all(ANY_DEPTH_M)));
+      const vf beside = near_at(axis ? 0 : side, axis ? side : 0);
+      change = min(change, select(is_there(beside), abs(depth(beside) - z), all(ANY_DEPTH_M)));
     }
     const vf slope = change * per_m * (axis ? job.fy : job.fx);
     steep2 += slope * slope;
   }
   const vf steep = min(sqrt(1.0f + steep2), all(job.own_steepest));
-  const vf low = least - job.own_before * steep, high = most + job.own_behind * steep;
-  return {select(is_there(here), 0.5f * (low + high), vf{}), select(is_there(here), 0.5f * (high - low), all(ANY_DEPTH_M))};
+  const vf middle = z + 0.5f * (job.own_behind - job.own_before) * steep;
+  const vf half = 0.5f * (job.own_behind + job.own_before) * steep;
+  return {select(is_there(here), middle, vf{}), select(is_there(here), half, all(ANY_DEPTH_M))};
 }
 
 // One 4 x 4 block on its way through the list.

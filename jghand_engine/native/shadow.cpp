@@ -59,6 +59,35 @@ JG_INLINE void interleave(const vf c[4], float out[64]) {
   store(out + 48, JG_SHUFFLE(rg1, ba1, 8, 9, 24, 25, 10, 11, 26, 27, 12, 13, 28, 29, 14, 15, 30, 31));
 }
 
+// Which of sixteen pixels are beside the edge of skin before other skin.
+JG_INLINE uint32_t at_edges(const ShadeTask& s, int x, int y, int n) {
+  const float* near = s.surface + (int64_t)y * s.surface_stride + x;
+  const vf here = load(near), step = s.orthographic ? all(s.edge_step) : here * here * s.edge_step;
+  vi inside = here > NOT_NEAR, beyond = {};
+  const int32_t around[] = {-1, 1, -s.surface_stride, s.surface_stride};
+  for (const int32_t beside : around) {
+    const vf there = load(near + beside);
+    inside &= there > NOT_NEAR, beyond |= abs(there - here) > step;
+  }
+  return bit_mask(inside & beyond) & (n < LANES ? (1u << n) - 1 : ~0u);
+}
+
+// Mixes the color of a pixel that is not at the image's border with those around it: what stands before other skin has
+// the surface's edge, which would be a staircase.
+void smooth_edge(const ShadeTask& s, int x, int y, vf c[4], int lane) {
+  const int64_t pixels = (int64_t)s.width * s.height;
+  float sum[4] = {};
+  for (int down = -1; down <= 1; down++) {
+    for (int right = -1; right <= 1; right++) {
+      const float weight = (down ? 1.f : 2.f) * (right ? 1.f : 2.f);
+      const float* p = s.picture + (int64_t)(y + down) * s.width + x + right;
+      for (int k = 0; k < 4; k++) sum[k] += weight * p[k * pixels];
+    }
+  }
+  if (!(sum[3] > 0)) return;
+  for (int k = 0; k < 3; k++) c[k][lane] += s.edge_part * (sum[k] / sum[3] * c[3][lane] - c[k][lane]);
+}
+
 // Without a shadow depth is found on the way. Of pixels without anything only the alpha is read.
 void shade_row(const ShadeTask& s, int y) {
   const int64_t pixels = (int64_t)s.width * s.height, row = (int64_t)y * s.width;
@@ -76,7 +105,10 @@ void shade_row(const ShadeTask& s, int y) {
     if (s.visibility) store_first(s.visibility + row + x, v, n);
     if (wants_depth) depth_of(s, c[3], covered ? load_first(p + 4 * pixels, n) : vf{}, row + x, n);
     if (!s.rgba) continue;
-    for (int k = 0; covered && k < 3; k++) c[k] = load_first(p + k * pixels, n) * (1.f - s.darkness[k] * (1.f - v));
+    for (int k = 0; covered && k < 3; k++) c[k] = load_first(p + k * pixels, n);
+    for (uint32_t rest = covered && s.surface ? at_edges(s, x, y, n) : 0; rest; rest &= rest - 1)
+      smooth_edge(s, x + __builtin_ctz(rest), y, c, __builtin_ctz(rest));
+    for (int k = 0; covered && k < 3; k++) c[k] *= 1.f - s.darkness[k] * (1.f - v);
     float* out = s.rgba + 4 * (row + x);
     if (n >= LANES) {
       interleave(c, out);

@@ -47,7 +47,9 @@ class ShadeTask(ctypes.Structure):
         *((name, _F32) for name in ("agree", "agree_floor", "normal_min2")),
         ("darkness", _F32 * 3),
         *((name, _P) for name in ("disc_x", "disc_y", "picture", "depth", "row_valid")),
-        *((name, _P) for name in ("visibility", "rgba", "depth_out")),
+        *((name, _P) for name in ("visibility", "rgba", "depth_out", "surface")),
+        ("surface_stride", _I32),
+        *((name, _F32) for name in ("edge_step", "edge_part")),
     )
 
 

@@ -214,8 +214,6 @@ class Backend:
             strengths = [canvas.detail[place] for place in self._detailed]
             seen = [canvas.seen[place] for place in self._detailed]
             detail.prepare(self._planes, camera, strengths, ends_hands=self._ends_hands, seen=seen)
-            if detail.seen_surface is not None:
-                self._rasterizer.set_surface(detail.seen_surface)
             depths = [self._depths[place] for place in self._detailed]
             detail.shadow_pixels(self._rasterizer.layer_planes[: len(layers)], depths)
         assert not layers or detail is not None or keep_image, "light that is drawn apart is added with the detail"
@@ -223,6 +221,10 @@ class Backend:
         depth_m = np.empty((camera.height, camera.width), np.float32) if canvas.depth else None
         shade = self._shade_for(camera.width, camera.height)
         shade.prepare(self._planes, camera, canvas.style, near_m=canvas.near_m, rgba=rgba, depth_m=depth_m)
+        surface = None if detail is None or self._device is not None else detail.seen_surface
+        if surface is not None:
+            self._rasterizer.set_surface(surface)
+            shade.set_surface(surface)
         work = _Work(
             skins=skins,
             # an image that is kept is of the same camera

@@ -16,6 +16,7 @@ import numpy as np
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
+from jghand_engine.native.rasterizer import SURFACE_MARGIN_PX, SeenSurface
 from jghand_engine.native.tasks import (
     LANES,
     PAD_COLUMNS,
@@ -115,12 +116,19 @@ class NativeShade:
         task.rgba = _output(rgba, "rgba", (*size, 4))
         task.depth_out = _output(depth_m, "depth_m", size)
         # results are their owner's
-        self._keep = (planes,)
+        self._keep, task.surface = (planes,), None
         task.origin = near_m
         task.fx, task.fy, task.cx, task.cy = camera.fx, camera.fy, camera.cx, camera.cy
         task.orthographic = camera.orthographic
         self._set_style(style)
         self.team.fill(0)
+
+    def set_surface(self, surface: SeenSurface) -> None:
+        """Of the image that was prepared: edges of its skin before other skin are smoothed."""
+        task, margin = self.task, SURFACE_MARGIN_PX
+        self._keep = (*self._keep, surface.near)
+        task.surface, task.surface_stride = surface.near[margin:, margin:].ctypes.data, surface.near.shape[1]
+        task.edge_step, task.edge_part = surface.scale * contract.EDGE_STEP_M, surface.part
 
     def _set_style(self, style: ShadowStyle | None) -> None:
         task = self.task
