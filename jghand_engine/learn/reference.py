@@ -131,7 +131,7 @@ class _Own:
 
 def own_depths(surface: SeenSurface, camera: Camera) -> torch.Tensor:
     """(H, W, 2) float64, meters: from which depth to which a Gaussian is of the skin that a pixel shows. From a little
-    before to a little behind it, farther where it is steep; all, where there is none."""
+    before to a little behind it, and the width of a pixel farther; more where it is steep; all, where there is none."""
     margin, near = SURFACE_MARGIN_PX, torch.from_numpy(surface.near).to(torch.float64)
 
     def depth(down: int, right: int) -> torch.Tensor:
@@ -144,8 +144,10 @@ def own_depths(surface: SeenSurface, camera: Camera) -> torch.Tensor:
     for axis, focal in zip(beside, (camera.fx, camera.fy), strict=True):
         change = torch.stack([(each - middle).abs().nan_to_num(nan=math.inf) for each in axis]).amin(0)
         steep2 = steep2 + (change * (focal if camera.orthographic else focal / middle)) ** 2
-    steep = torch.as_tensor(steep2).sqrt().clamp(max=contract.OWN_STEEPEST) * surface.scale
-    least, most = middle - contract.OWN_BEFORE_M * steep, middle + contract.OWN_BEHIND_M * steep
+    steep = torch.as_tensor(steep2).sqrt().clamp(max=contract.OWN_STEEPEST)
+    pixel_m = (torch.ones_like(middle) if camera.orthographic else middle) / camera.fx
+    before_m, behind_m = (length * surface.scale + pixel_m for length in (contract.OWN_BEFORE_M, contract.OWN_BEHIND_M))
+    least, most = middle - before_m * steep, middle + behind_m * steep
     return torch.stack([least.nan_to_num(nan=-math.inf), most.nan_to_num(nan=math.inf)], -1)
 
 

@@ -23,8 +23,8 @@ struct Own {
   vf middle, half;
 };
 
-// From `own_before` before to `own_behind` behind the skin, more where it is steep, up to `own_steepest` times; where there
-// is none, all.
+// From `own_before` before to `own_behind` behind the skin, and the width of a pixel farther; more where it is steep, up to
+// `own_steepest` times; where there is none, all.
 JG_INLINE Own own_depths(const RasterJob& job, int32_t x, int32_t y) {
   const Own all_depths = {vf{}, all(ANY_DEPTH_M)};
   if (!job.surface) return all_depths;
@@ -52,7 +52,7 @@ JG_INLINE Own own_depths(const RasterJob& job, int32_t x, int32_t y) {
   }
   const vf steep = min(sqrt(1.0f + steep2), all(job.own_steepest));
   const vf middle = z + 0.5f * (job.own_behind - job.own_before) * steep;
-  const vf half = 0.5f * (job.own_behind + job.own_before) * steep;
+  const vf half = (0.5f * (job.own_behind + job.own_before) + 1.0f / (per_m * job.fx)) * steep;
   return {select(is_there(here), middle, vf{}), select(is_there(here), half, all(ANY_DEPTH_M))};
 }
 

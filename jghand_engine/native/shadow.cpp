@@ -62,7 +62,8 @@ JG_INLINE void interleave(const vf c[4], float out[64]) {
 // Which of sixteen pixels are beside the edge of skin before other skin.
 JG_INLINE uint32_t at_edges(const ShadeTask& s, int x, int y, int n) {
   const float* near = s.surface + (int64_t)y * s.surface_stride + x;
-  const vf here = load(near), step = s.orthographic ? all(s.edge_step) : here * here * s.edge_step;
+  const vf here = load(near), per_m = s.orthographic ? all(1.f) : here;
+  const vf step = per_m * max(per_m * s.edge_step, all(s.edge_steepness / s.fx));
   vi inside = here > NOT_NEAR, beyond = {};
   const int32_t around[] = {-1, 1, -s.surface_stride, s.surface_stride};
   for (const int32_t beside : around) {

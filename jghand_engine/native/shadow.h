@@ -37,7 +37,8 @@ struct ShadeTask {
   float* depth_out;       // (H, W) meters, 0 where there is none, or null
   const float* surface;   // (H, W), rows surface_stride apart, with a margin: see native/raster.h; or null
   int32_t surface_stride;
-  float edge_step;        // m: skin that lies so much deeper than that of the next pixel is behind its edge
+  float edge_step, edge_steepness;  // skin that lies deeper than that of the next pixel by so many meters, and so many
+                                    // widths of a pixel, is behind its edge
   float edge_part;        // 0..1: how much edges of skin before other skin are smoothed
 };
 

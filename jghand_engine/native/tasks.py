@@ -49,7 +49,7 @@ class ShadeTask(ctypes.Structure):
         *((name, _P) for name in ("disc_x", "disc_y", "picture", "depth", "row_valid")),
         *((name, _P) for name in ("visibility", "rgba", "depth_out", "surface")),
         ("surface_stride", _I32),
-        *((name, _F32) for name in ("edge_step", "edge_part")),
+        *((name, _F32) for name in ("edge_step", "edge_steepness", "edge_part")),
     )
 
 

@@ -222,7 +222,7 @@ class Backend:
         shade = self._shade_for(camera.width, camera.height)
         shade.prepare(self._planes, camera, canvas.style, near_m=canvas.near_m, rgba=rgba, depth_m=depth_m)
         surface = None if detail is None or self._device is not None else detail.seen_surface
-        if surface is not None:
+        if surface is not None and self._gaussians.front is not None:
             self._rasterizer.set_surface(surface)
             shade.set_surface(surface)
         work = _Work(

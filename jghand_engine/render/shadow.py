@@ -128,7 +128,8 @@ class NativeShade:
         task, margin = self.task, SURFACE_MARGIN_PX
         self._keep = (*self._keep, surface.near)
         task.surface, task.surface_stride = surface.near[margin:, margin:].ctypes.data, surface.near.shape[1]
-        task.edge_step, task.edge_part = surface.scale * contract.EDGE_STEP_M, surface.part
+        task.edge_step, task.edge_steepness = surface.scale * contract.EDGE_STEP_M, contract.EDGE_STEEPNESS
+        task.edge_part = surface.part
 
     def _set_style(self, style: ShadowStyle | None) -> None:
         task = self.task

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from detail_samples import detailed, flat, noise
+from scipy.ndimage import binary_dilation
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
@@ -13,6 +14,7 @@ from jghand_engine.avatar.detail import Detail
 from jghand_engine.avatar.scene_light import Lamp, SceneLight
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
+from jghand_engine.native import contract
 from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.scene_light_task import LampKind
@@ -90,6 +92,34 @@ def test_alpha_is_the_part_of_a_pixel_that_the_surface_covers(name, orthographic
     # faces reach 1/512 of a pixel over their edges: a sample between the two is another's in some pixels
     assert (error > 1e-5).sum() <= 0.05 * ((part > 0) & (part < 1)).sum()
     assert error.max() <= 2 / SAMPLES + 1e-5
+
+
+def test_a_thumb_before_fingers_keeps_its_edge(monkeypatch):
+    """Gaussians are a millimeter wide, and skin is not: of a red thumb on green fingers, how far the color is from that
+    of the skin, within a millimeter of the edge."""
+    avatar, of_thumb = load_builtin(handedness=Handedness.RIGHT), np.isin(np.arange(21), (1, 6, 11, 16))
+    detail, green = surface(avatar), np.float32([0, 0.5, 0])
+    is_red = avatar.bone_weights[:, of_thumb].sum(1)[:, None] > 0.5
+    painted = changed(
+        replace(avatar, rgb=np.where(is_red, green[[1, 0, 2]], green)), texture=flat(64, 0.0), relief=None
+    )
+    joints_m = named_pose("fist", avatar.rest_joints_m, handedness=Handedness.RIGHT, fist=avatar.fist)
+    seen = Camera.looking_at((0.05, 0.12, 0.5), (0, 0.1, 0), (0, 1, 0), width=500, height=400, focal_px=2000.0)
+    hits = SurfaceHits(native_library.load(), DetailedHand.of(avatar, 1.0))
+    face = hits(avatar.skeleton().bones(joints_m), seen)[0]
+    share = detail.bone_weights[detail.faces][:, :, of_thumb].sum(2)
+    thumb, fingers = share.min(1)[face] > 0.5, (share.max(1)[face] < 0.05) & (face >= 0)
+    at_edge = binary_dilation(thumb, iterations=4) & binary_dilation(fingers, iterations=4) & (thumb | fingers)
+
+    def error() -> float:
+        rgb = HandRenderer(painted, DRAWN).render(joints_m, seen).rgba[..., :3][at_edge]
+        red, green = (rgb - rgb[:, 2:]).T[:2]  # without gloss, which is white
+        return float(np.abs(red / (red + green) - thumb[at_edge]).mean())
+
+    sharp = error()
+    monkeypatch.setattr(contract, "OTHERS_PART", 1.0)
+    # observed 0.085 and 0.186: pixels at an edge are mixed, and light that fingers throw onto the thumb is green
+    assert sharp < 0.5 * error()
 
 
 def test_what_is_left_of_a_pixel_keeps_its_color():

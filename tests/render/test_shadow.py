@@ -13,7 +13,9 @@ from depth_scenes import camera, fingers, plane, planes_of, rays, sphere
 
 from jghand_engine.errors import InputError
 from jghand_engine.learn.shadow import darken, normalized_depth, printed_visibility, shade, surface_normals, visibility
+from jghand_engine.native import contract
 from jghand_engine.native.binding import Library
+from jghand_engine.native.rasterizer import SURFACE_MARGIN_PX, SeenSurface
 from jghand_engine.render import passes
 from jghand_engine.render.shadow import NativeShade, ShadowStyle, vogel_disc
 
@@ -404,6 +406,39 @@ def test_shadow_off_only_composes(library: Library):
     exact, valid = normalized_depth(torch.from_numpy(planes[4]), torch.from_numpy(planes[3]))
     assert np.array_equal(depth_m > 0, valid.numpy())
     assert np.abs(depth_m - exact.numpy()).max() < 1e-7
+
+
+@pytest.mark.parametrize(("orthographic", "focal_px"), [(False, 1000.0), (True, 2500.0), (False, 500.0)])
+def test_edges_of_skin_before_other_skin_are_smoothed_and_nothing_else(
+    library: Library, orthographic: bool, focal_px: float
+):
+    height, width, step_m = 20, 37, contract.EDGE_STEP_M
+    planes = np.random.default_rng(0).uniform(0.2, 1, (5, height, width)).astype(np.float32)
+    row, column = np.mgrid[:height, :width]
+    # two skins with a slanted edge, and a step that is no edge; nothing above, and at a corner beside the edge
+    depth_m = np.where(2 * column + row > 50, 0.4 + 1.5 * step_m, 0.4) + 0.8 * step_m * (column > 4)
+    is_there = (row > 2) & ((row < 15) | (column > 12))
+    near = np.where(is_there, -depth_m if orthographic else 1 / depth_m, contract.NOT_NEAR).astype(np.float32)
+    surface = SeenSurface(np.pad(near, SURFACE_MARGIN_PX, constant_values=contract.NOT_NEAR), 1.0, 0.7)
+    native, rgba = NativeShade(library, width, height), np.empty((height, width, 4), np.float32)
+    native.prepare(planes, replace(camera(width, height, focal_px), orthographic=orthographic), None, near_m=0.5, rgba=rgba)
+    native.set_surface(surface)
+    native.run()
+    wanted, smoothed = planes[:4].copy(), np.zeros((height, width), bool)
+    for y in range(1, height - 1):
+        for x in range(1, width - 1):
+            beside = [(y, x - 1), (y, x + 1), (y - 1, x), (y + 1, x)]
+            if is_there[y, x] and all(is_there[at] for at in beside):
+                pixel_m = (1 if orthographic else depth_m[y, x]) / focal_px
+                least_m = max(step_m, contract.EDGE_STEEPNESS * pixel_m)
+                smoothed[y, x] = any(abs(depth_m[at] - depth_m[y, x]) > least_m for at in beside)
+            if smoothed[y, x]:
+                weight = np.outer([1, 2, 1], [1, 2, 1])
+                sums = (weight * planes[:4, y - 1 : y + 2, x - 1 : x + 2]).sum((1, 2))
+                wanted[:3, y, x] += 0.7 * (sums[:3] / sums[3] * planes[3, y, x] - planes[:3, y, x])
+    # steps of three widths of a pixel are none
+    assert smoothed.sum() == 0 if focal_px == 500 else 20 < smoothed.sum() < 60
+    np.testing.assert_allclose(rgba, np.moveaxis(wanted, 0, -1), rtol=1e-5)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3e38, -1.0, 0.0, 1e-45])
