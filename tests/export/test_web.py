@@ -346,7 +346,7 @@ def slopes_of_the_engine(
         poser.run()
         drawn.pose([bones], [np.zeros(3)])
         drawn.prepare(np.zeros((5, 8, 8), np.float32), camera, [1.0])
-        drawn.run()
+        drawn.find_surface()
         slopes.append(hand._arrays["slope"][:, row].copy())
         bends.append(hand._arrays["bend"][row].copy())
     return slopes, bends

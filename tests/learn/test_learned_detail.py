@@ -143,6 +143,7 @@ def test_it_is_learned_as_the_renderer_draws_it(small_texture, handedness, templ
     native = NativeDetail(library.load("auto"), [DetailedHand.of(avatar, 1.0)])
     native.pose([bones], [bones.root_m])
     native.prepare(planes, camera, [1.0])
+    native.find_surface()
     native.run()
     inside = alpha > 0
     difference = np.abs(np.moveaxis(planes[:3], 0, -1) - ours.detach().numpy())[inside]

@@ -368,5 +368,5 @@ def test_bones_that_are_no_numbers_leave_the_picture_as_it_is():
         wild = replace(bones, linear_offset=np.full_like(bones.linear_offset, value))
         detail.pose([wild], [np.zeros(3)])
         detail.prepare(picture, seen, [1.0])
-        shared_pool(2).run(lambda _thread: detail.run())
+        shared_pool(2).run(lambda _thread: (detail.find_surface(), detail.run()))
         assert (picture == 0.5).all()

@@ -95,7 +95,7 @@ def test_the_kernel_puts_middles_where_the_shares_say(orthographic):
     detail = NativeDetail(native_library.load(), [hand], outline_px=0.01)
     detail.pose([bones], [bones.root_m])
     detail.prepare(np.zeros((5, 64, 96), np.float32), seen, [1.0], ends_hands=True)
-    shared_pool(0).run(lambda _thread: detail.run())
+    shared_pool(0).run(lambda _thread: detail.find_surface())
     fine = FineFaces.of(hand.detail.faces, hand.detail.face_uv, len(hand.detail.position_m))
     own_m = hand.posed_m(bones)
     posed_m = np.concatenate([own_m, np.einsum("nk,nkc->nc", fine.share, own_m[fine.around])])

@@ -217,7 +217,7 @@ def test_half_of_the_effect_is_half_of_the_way():
         bones = avatar.skeleton().bones(joints_m)
         drawer.pose([bones], [bones.root_m])
         drawer.prepare(one, seen, [strength], ends_hands=True)
-        shared_pool(1).run(lambda _thread, drawer=drawer: drawer.run())
+        shared_pool(1).run(lambda _thread, drawer=drawer: (drawer.find_surface(), drawer.run()))
         planes.append(one)
     assert np.abs(planes[2] - planes[0]).max() > 0.29
     np.testing.assert_allclose(planes[1], (planes[0] + planes[2]) / 2, atol=1e-6)
