@@ -523,14 +523,17 @@ JG_INLINE int32_t kind_of(const DetailTask& t, int32_t face) {
 }
 
 void keep_hits(const DetailTask& t, Surface& tile) {
-  if (!tile.is_clear) clear(tile);
   const int32_t columns = t.width - tile.x < TILE_X ? t.width - tile.x : TILE_X;
   for (int32_t y = 0; y < TILE_Y && tile.y + y < t.height; y++) {
+    int32_t* hit = t.hit + (int64_t)(tile.y + y) * t.width + tile.x;
+    float* near = t.hit_near + (int64_t)(tile.y + y) * t.near_stride + tile.x;
+    if (!tile.is_clear) {
+      for (int32_t x = 0; x < columns; x++) hit[x] = -1, near[x] = NOT_NEAR;
+      continue;
+    }
     for (int32_t x = 0; tile.fades && t.outline > 0 && x < columns; x++)
       if (tile.face[y][x] >= 0 && kind_of(t, tile.face[y][x]) & (FADES | CAP)) tile.near[y][x] = NOT_NEAR;
-    const int64_t row = tile.y + y;
-    memcpy(t.hit + row * t.width + tile.x, tile.face[y], columns * sizeof *t.hit);
-    memcpy(t.hit_near + row * t.near_stride + tile.x, tile.near[y], columns * sizeof *t.hit_near);
+    memcpy(hit, tile.face[y], columns * sizeof *hit), memcpy(near, tile.near[y], columns * sizeof *near);
   }
 }
 

@@ -119,8 +119,8 @@ JG_INLINE vf gather(const float* p, vi index) { return (vf)_mm512_i32gather_ps((
 JG_INLINE vf gather(const float* p, vi index) {
   // a loop puts each lane into a vector in memory, and every turn waits for the one before
   const auto at = [&](int i) __attribute__((always_inline)) { return p[index[i]]; };
-  return {at(0), at(1), at(2),  at(3),  at(4),  at(5),  at(6),  at(7),
-          at(8), at(9), at(10), at(11), at(12), at(13), at(14), at(15)};
+  return vf{at(0), at(1), at(2),  at(3),  at(4),  at(5),  at(6),  at(7),
+            at(8), at(9), at(10), at(11), at(12), at(13), at(14), at(15)};
 }
 #endif
 // Two words that lie together, from `step` times the index on.
