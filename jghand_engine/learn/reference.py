@@ -135,7 +135,10 @@ def own_depths(surface: SeenSurface, camera: Camera) -> torch.Tensor:
     margin, near = SURFACE_MARGIN_PX, torch.from_numpy(surface.near).to(torch.float64)
 
     def depth(down: int, right: int) -> torch.Tensor:
-        rows, columns = slice(margin + down, margin + down + camera.height), slice(margin + right, margin + right + camera.width)
+        rows, columns = (
+            slice(margin + down, margin + down + camera.height),
+            slice(margin + right, margin + right + camera.width),
+        )
         here = near[rows, columns]
         return torch.where(here > NOT_NEAR, -here if camera.orthographic else 1 / here, math.nan)
 

@@ -255,7 +255,7 @@ class NativeRasterizer:
         job.keeps_empty &= had == job.layers
 
     def set_surface(self, surface: SeenSurface) -> None:
-        """Of the image that was prepared, which need not be there before `run`. Without it all Gaussians count alike."""
+        """Of the image that was prepared; it need not be there before `run`. Without it all Gaussians count alike."""
         job, margin, self._surface = self._job, SURFACE_MARGIN_PX, surface
         shape = (job.height + 2 * margin, job.width + 2 * margin)
         address(surface.near, np.float32, "near", shape)

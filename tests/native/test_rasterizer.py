@@ -134,7 +134,9 @@ def test_gaussians_that_are_not_of_the_skin_that_a_pixel_shows_count_less(orthog
     """Of a surface with steps and holes, as the reference has it."""
     arrays, random_ = hand_arrays(2000), np.random.default_rng(1)
     front = np.ones(2000, np.float32)
-    camera = replace(camera_for(80, 50), fx=1500.0, fy=1400.0, orthographic=True) if orthographic else camera_for(80, 50)
+    camera = (
+        replace(camera_for(80, 50), fx=1500.0, fy=1400.0, orthographic=True) if orthographic else camera_for(80, 50)
+    )
     view = replace(view_for(80, 50), fx=camera.fx, fy=camera.fy, orthographic=orthographic)
     hand = in_precision(replace(hand_gaussians(2000, sigma_mm=(1, 2)), front=torch.from_numpy(front)), torch.float64)
     depth_m = rasterize_reference(hand, camera).depth_m.numpy()

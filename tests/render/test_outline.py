@@ -98,7 +98,7 @@ def test_a_thumb_before_fingers_keeps_its_edge(monkeypatch):
     """Gaussians are a millimeter wide, and skin is not: of a red thumb on green fingers, how far the color is from that
     of the skin, within a millimeter of the edge."""
     avatar, of_thumb = load_builtin(handedness=Handedness.RIGHT), np.isin(np.arange(21), (1, 6, 11, 16))
-    detail, green = surface(avatar), np.float32([0, 0.5, 0])
+    detail, green = surface(avatar), np.array([0, 0.5, 0], np.float32)
     is_red = avatar.bone_weights[:, of_thumb].sum(1)[:, None] > 0.5
     painted = changed(
         replace(avatar, rgb=np.where(is_red, green[[1, 0, 2]], green)), texture=flat(64, 0.0), relief=None
@@ -108,8 +108,9 @@ def test_a_thumb_before_fingers_keeps_its_edge(monkeypatch):
     hits = SurfaceHits(native_library.load(), DetailedHand.of(avatar, 1.0))
     face = hits(avatar.skeleton().bones(joints_m), seen)[0]
     share = detail.bone_weights[detail.faces][:, :, of_thumb].sum(2)
-    thumb, fingers = share.min(1)[face] > 0.5, (share.max(1)[face] < 0.05) & (face >= 0)
-    at_edge = binary_dilation(thumb, iterations=4) & binary_dilation(fingers, iterations=4) & (thumb | fingers)
+    thumb, fingers = (share.min(1) > 0.5)[face] & (face >= 0), (share.max(1) < 0.05)[face] & (face >= 0)
+    near_both = [binary_dilation(each, iterations=4) for each in (thumb, fingers)]
+    at_edge = np.logical_and(*near_both) & (thumb | fingers)
 
     def error() -> float:
         rgb = HandRenderer(painted, DRAWN).render(joints_m, seen).rgba[..., :3][at_edge]

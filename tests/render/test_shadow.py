@@ -421,7 +421,9 @@ def test_edges_of_skin_before_other_skin_are_smoothed_and_nothing_else(
     near = np.where(is_there, -depth_m if orthographic else 1 / depth_m, contract.NOT_NEAR).astype(np.float32)
     surface = SeenSurface(np.pad(near, SURFACE_MARGIN_PX, constant_values=contract.NOT_NEAR), 1.0, 0.7)
     native, rgba = NativeShade(library, width, height), np.empty((height, width, 4), np.float32)
-    native.prepare(planes, replace(camera(width, height, focal_px), orthographic=orthographic), None, near_m=0.5, rgba=rgba)
+    native.prepare(
+        planes, replace(camera(width, height, focal_px), orthographic=orthographic), None, near_m=0.5, rgba=rgba
+    )
     native.set_surface(surface)
     native.run()
     wanted, smoothed = planes[:4].copy(), np.zeros((height, width), bool)
