@@ -4,7 +4,8 @@
 //   skin     vertices of all hands to pixels
 //   round    of large hands vertices in the middles of sides, so that outlines have no corners
 //   set up   per face the planes of what is interpolated, and what it may touch; groups of sixteen neighbors
-//   shade    per tile: the nearest face of each pixel, then the texture there; or the faces are told, for learning
+//   surface  per tile: the nearest face of each pixel, which is told, and how near it is
+//   shade    once Gaussians are blended, per tile: the texture there
 //
 // A surface that is where the skin is ends the hand: alpha becomes the part of a pixel that it covers. Gaussians end
 // within their own width, and skin closer than that.

@@ -115,7 +115,7 @@ struct Surface {
   uint8_t most[TILE_Y][TILE_X];      // ... by the face above, where none covers the center
   int32_t x, y;
   bool is_clear;  // whether anything stands above: in most tiles nothing is seen
-  bool fades;     // whether a face that reaches into it does, or is of a cap
+  bool fades;     // whether a face that reaches into it does; before Gaussians are blended, or is of a cap
 };
 static_assert(TILE_X == 64 && LANES == 16, "a row of pixels is a word, samples of a pixel are a vector");
 

@@ -62,8 +62,8 @@ struct RasterJob {
                           // a picture
   const float* layer;       // (layers, count, 4) colors that are drawn beside rgb, in the same way, where there is a `front`
   float* layer_planes;      // (layers, 4, height, width) of these
-  const float* surface;     // (height, width), rows surface_stride apart, with a pixel more on each side and up to four on
-                            // the last: how near the skin is, 1/z or, of parallel rays, -z, NOT_NEAR where there is none;
+  const float* surface;     // (height, width), rows surface_stride apart, with a margin of nothing on
+                            // each side (SURFACE_MARGIN_PX of native/rasterizer.py): how near the skin is, 1/z or, of parallel rays, -z, NOT_NEAR where there is none;
                             // where there is some, Gaussians with a `front` that are not its own count less, see `Own`.
                             // null: all count
   // scratch that forward leaves for backward

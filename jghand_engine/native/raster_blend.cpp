@@ -4,7 +4,7 @@
 namespace jg {
 namespace {
 
-constexpr float ANY_DEPTH_M = 1e9f;
+constexpr float ANY_DEPTH_M = 1e9f;  // no Gaussian is as far away
 constexpr int UNROLL = 4;  // Gaussians between two tests whether all pixels of a block are covered
 
 // What pixels get of Gaussians: their colors; and FRONT: the color of what is seen from outside and stands in front, and a
@@ -72,9 +72,9 @@ JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, c
   for (int k = 0; k < 4; k++) layer[k] = block.layer[k];
   auto add = [&](int hit) __attribute__((always_inline)) {
     const Record& record = chunk.records[hit];
-    vf part = cover<SQUARINGS>(record, x, y, log2_alpha_min, alpha_max).alpha;
-    if (KIND != PLAIN) part = select(abs(record.z - middle) < half, part, part * others);
-    const vf weight = part * T;
+    vf alpha = cover<SQUARINGS>(record, x, y, log2_alpha_min, alpha_max).alpha;
+    if (KIND != PLAIN) alpha = select(abs(record.z - middle) < half, alpha, alpha * others);
+    const vf weight = alpha * T;
     const vf shown = KIND != PLAIN ? weight * clamped((T - BENEATH_FROM) * (1.0f / (BENEATH_WHOLE - BENEATH_FROM))) : weight;
     const vf beneath = KIND != PLAIN ? max(T - weight, all(BENEATH_FROM)) : T - weight;
     const vf counted = KIND != PLAIN ? T - beneath : weight;
@@ -119,7 +119,7 @@ void blend_with(const RasterJob& job, int32_t index, int32_t layer) {
     const int32_t x = tile.x + block_x(b), y = tile.y + block_y(b);
     if (x >= job.width || y >= job.height) continue;
     live |= 1u << b;
-    if (KIND != PLAIN) blocks[b].own = own_depths(job, x, y);
+    if (KIND != PLAIN && tile.length) blocks[b].own = own_depths(job, x, y);
   }
   const uint32_t on_picture = live;
   int32_t work = 0;

@@ -96,7 +96,8 @@ class GaussianArrays:
         return len(self.position_m)
 
 
-# pixels around an image of a surface: kernels read blocks of pixels and those beside them
+# pixels around an image of a surface: kernels read a block of 4 x 4 pixels that begins on the image and those beside
+# it, and sixteen from a row's last pixel on, which end in the rows below
 SURFACE_MARGIN_PX = 4
 
 
@@ -105,7 +106,7 @@ class SeenSurface:
     """The skin that an image shows, see native/raster.h.
 
     near:  (H + 8, W + 8) float32, with SURFACE_MARGIN_PX of nothing around it
-    scale: of its hand
+    scale: of the hands in the image, the largest
     part:  0..1 how much it counts that a Gaussian is not its own
     """
 

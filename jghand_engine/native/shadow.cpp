@@ -59,7 +59,8 @@ JG_INLINE void interleave(const vf c[4], float out[64]) {
   store(out + 48, JG_SHUFFLE(rg1, ba1, 8, 9, 24, 25, 10, 11, 26, 27, 12, 13, 28, 29, 14, 15, 30, 31));
 }
 
-// Which of sixteen pixels are beside the edge of skin before other skin.
+// Which of sixteen pixels are beside the edge of skin before other skin. Through a pinhole a difference of 1/z is one of z
+// times that squared.
 JG_INLINE uint32_t at_edges(const ShadeTask& s, int x, int y, int n) {
   const float* near = s.surface + (int64_t)y * s.surface_stride + x;
   const vf here = load(near), per_m = s.orthographic ? all(1.f) : here;

@@ -24,7 +24,7 @@ from jghand_engine.gpu.choice import device_for, new_rasterizer
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import aligned_zeros
-from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRasterizer, View
+from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRasterizer, SeenSurface, View
 from jghand_engine.native.scene_light_task import LampDepth
 from jghand_engine.native.threads import WorkerPool, shared_pool, thread_count
 from jghand_engine.render.blur import LinearMean
@@ -207,7 +207,7 @@ class Backend:
             skins = [hand for place, (hand, own) in enumerate(lit) if hand.prepare_light(light.on_hand(place), own)]
         self.light, self._layers = light, layers
         if not keep_image:
-            self._planes = self._prepare_raster(canvas)
+            self._planes, self._surface = self._prepare_raster(canvas), None
         # an image that is kept has its own
         detail = self._detail if canvas.detail and not keep_image else None
         if detail is not None:
@@ -216,15 +216,17 @@ class Backend:
             detail.prepare(self._planes, camera, strengths, ends_hands=self._ends_hands, seen=seen)
             depths = [self._depths[place] for place in self._detailed]
             detail.shadow_pixels(self._rasterizer.layer_planes[: len(layers)], depths)
+            if self._device is None and self._gaussians.front is not None:
+                self._surface = detail.seen_surface
+            if self._surface is not None:
+                self._rasterizer.set_surface(self._surface)
         assert not layers or detail is not None or keep_image, "light that is drawn apart is added with the detail"
         rgba = np.empty((camera.height, camera.width, 4), np.float32)
         depth_m = np.empty((camera.height, camera.width), np.float32) if canvas.depth else None
         shade = self._shade_for(camera.width, camera.height)
         shade.prepare(self._planes, camera, canvas.style, near_m=canvas.near_m, rgba=rgba, depth_m=depth_m)
-        surface = None if detail is None or self._device is not None else detail.seen_surface
-        if surface is not None and self._gaussians.front is not None:
-            self._rasterizer.set_surface(surface)
-            shade.set_surface(surface)
+        if self._surface is not None:
+            shade.set_surface(self._surface)
         work = _Work(
             skins=skins,
             # an image that is kept is of the same camera
@@ -285,6 +287,8 @@ class Backend:
         self._rasterizer = self._new_rasterizer()
         self._shade: NativeShade | None = None
         self._planes: np.ndarray = aligned_zeros((PLANES, 0, 0))
+        # the skin that is drawn in them
+        self._surface: SeenSurface | None = None
         if self._detail is not None:
             self._detail.rest()
 

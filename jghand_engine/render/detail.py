@@ -171,8 +171,9 @@ class NativeDetail:
     def _keep_hits(self, camera: Camera) -> None:
         shape, margin = (camera.height, camera.width), SURFACE_MARGIN_PX
         if self._hit.shape != shape:
-            self._hit = np.empty(shape, np.int32)
-            self._near = np.full([length + 2 * margin for length in shape], contract.NOT_NEAR, np.float32)
+            self._hit, self._near = np.empty((0, 0), np.int32), np.empty((0, 0), np.float32)
+            near = np.full([length + 2 * margin for length in shape], contract.NOT_NEAR, np.float32)
+            self._hit, self._near = np.empty(shape, np.int32), near
         self._set_hits(self._hit, self._near[margin:-margin, margin:-margin])
 
     def _set_hits(self, face: np.ndarray, near: np.ndarray) -> None:
@@ -181,10 +182,10 @@ class NativeDetail:
 
     @property
     def seen_surface(self) -> SeenSurface | None:
-        """That of the image that was prepared, once `find_surface` ran; None where hands do not end with it."""
-        if self._task.outline == 0:
-            return None
-        return SeenSurface(self._near, max(hand.scale for hand in self._hands), self._task.outline)
+        """That of the image that was prepared, once `find_surface` ran; None where hands do not end with it. Of hands
+        of several scales it has the largest: with a smaller one, Gaussians of the large hand would not be its own."""
+        seen = [hand.scale for hand, task in zip(self._hands, self._tasks, strict=True) if task.groups > 0]
+        return SeenSurface(self._near, max(seen), self._task.outline) if self._task.outline > 0 and seen else None
 
     def shadow_pixels(self, layers: np.ndarray, lamps: Sequence[Mapping[int, LampDepth]]) -> None:
         """Sets which light is added to the image that was prepared as far as it reaches each pixel.

@@ -123,6 +123,30 @@ def test_a_thumb_before_fingers_keeps_its_edge(monkeypatch):
     assert sharp < 0.5 * error()
 
 
+def test_an_image_that_is_kept_has_the_edges_of_a_new_one(monkeypatch):
+    avatar = load_builtin(handedness=Handedness.RIGHT)
+    joints_m, seen = named_pose("fist", avatar.rest_joints_m, handedness=Handedness.RIGHT), camera()
+    settings = RenderSettings(shadow=ShadowMode.OFF, antialias=False, threads=2)
+    renderer = HandRenderer(avatar, settings)
+    once, again = (renderer.render(joints_m, seen).rgba for _ in range(2))
+    assert np.array_equal(once, again)
+    monkeypatch.setattr(contract, "EDGE_STEEPNESS", 1e9)
+    assert (np.abs(HandRenderer(avatar, settings).render(joints_m, seen).rgba - once) > 0.02).sum() > 100
+
+
+def test_edges_are_the_same_of_a_hand_of_any_scale():
+    avatar = load_builtin(handedness=Handedness.RIGHT)
+    joints_m = named_pose("fist", avatar.rest_joints_m, handedness=Handedness.RIGHT)
+
+    def drawn_at(scale: float) -> np.ndarray:
+        eye_m, middle_m = scale * np.array([0.05, 0.12, 0.5]), scale * np.array([0, 0.12, 0])
+        seen = Camera.looking_at(eye_m, middle_m, (0, 1, 0), width=120, height=140, focal_px=420.0)
+        return HandRenderer(avatar, DRAWN).render(scale * joints_m, seen).rgba
+
+    own, larger = drawn_at(1.0), drawn_at(3.0)
+    assert (np.abs(own - larger).max(-1) > 0.01).sum() < 0.01 * (own[..., 3] > 0).sum()
+
+
 def test_what_is_left_of_a_pixel_keeps_its_color():
     # without a texture, which fades in with alpha
     smooth = changed(hand(), texture=flat(64, 0.0))
