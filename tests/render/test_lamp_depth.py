@@ -418,8 +418,11 @@ def test_shadows_at_pixels_are_where_faces_stand_before_a_lamp(posed, at_gaussia
 @pytest.fixture
 def soft_fingers(monkeypatch):
     """Fingers before others without the edges of surfaces: what differs beside those is none of a shadow's."""
+    _made.cache_clear()  # renderers keep their last image
     monkeypatch.setattr(contract, "OTHERS_PART", 1.0)
     monkeypatch.setattr(contract, "EDGE_STEEPNESS", 1e9)
+    yield
+    _made.cache_clear()
 
 
 @pytest.mark.usefixtures("soft_fingers")
