@@ -30,6 +30,15 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         needs_gpu()
 
 
+@pytest.fixture
+def soft_fingers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fingers before others without the edges of surfaces, as a graphics card draws them."""
+    from jghand_engine.native import contract
+
+    monkeypatch.setattr(contract, "OTHERS_PART", 1.0)
+    monkeypatch.setattr(contract, "EDGE_STEEPNESS", 1e9)
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Real input that is not part of the project; a test that wants it is skipped where it is absent."""

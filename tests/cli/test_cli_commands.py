@@ -472,6 +472,7 @@ def test_export_refuses_an_option_of_the_other_format(tmp_path, words, capsys):
 
 
 @pytest.mark.graphics_card
+@pytest.mark.usefixtures("soft_fingers")
 def test_a_graphics_card_draws_the_same_pictures(tmp_path, capsys):
     words = ("--poses", "open", "--size", "48x32", "--out")
     assert run("render", *words, tmp_path / "card", "--backend", "gpu") == 0

@@ -71,6 +71,7 @@ def subject_of(avatar, width=120, height=80):
 # ---- frames ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("soft_fingers")
 @pytest.mark.parametrize("load", [load_builtin, load_painted])
 @pytest.mark.parametrize("name", ["viewport", "final"])
 def test_a_hand_is_the_picture_of_the_kernel(name, load):

@@ -15,7 +15,7 @@ from jghand_engine.avatar.lamp_rows import fade
 from jghand_engine.avatar.scene_light import Lamp, SceneLight, Shades, World
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
-from jghand_engine.native import contract, library
+from jghand_engine.native import library
 from jghand_engine.native.scene_light_task import LAYERS_MAX, LampKind
 from jghand_engine.render import light_effects
 from jghand_engine.render.camera import Camera
@@ -416,16 +416,14 @@ def test_shadows_at_pixels_are_where_faces_stand_before_a_lamp(posed, at_gaussia
 
 
 @pytest.fixture
-def soft_fingers(monkeypatch):
-    """Fingers before others without the edges of surfaces: what differs beside those is none of a shadow's."""
+def shadows_alone(soft_fingers):
+    """What differs at edges of fingers is none of a shadow's."""
     _made.cache_clear()  # renderers keep their last image
-    monkeypatch.setattr(contract, "OTHERS_PART", 1.0)
-    monkeypatch.setattr(contract, "EDGE_STEEPNESS", 1e9)
     yield
     _made.cache_clear()
 
 
-@pytest.mark.usefixtures("soft_fingers")
+@pytest.mark.usefixtures("shadows_alone")
 def test_an_image_does_not_depend_on_where_tiles_begin():
     """Of the kernel that shadows pixels, and of vectors of sixteen of them."""
     picture = large(SUN)
@@ -447,7 +445,7 @@ def test_skin_that_sees_all_of_a_lamp_has_the_colors_that_it_has_without_shadows
     assert np.abs(shaded - whole)[reached].max() < 0.05 * whole.max()
 
 
-@pytest.mark.usefixtures("soft_fingers")
+@pytest.mark.usefixtures("shadows_alone")
 def test_a_shadow_of_things_is_at_pixels_that_of_gaussians_where_the_hand_throws_none(at_gaussians):
     """With an edge across the fist, beyond which a twentieth of the sun is left."""
     assert AVATAR.learned is not None
@@ -465,7 +463,7 @@ def test_a_shadow_of_things_is_at_pixels_that_of_gaussians_where_the_hand_throws
     assert np.abs(part - part_before)[reached].max() < 0.001
 
 
-@pytest.mark.usefixtures("soft_fingers")
+@pytest.mark.usefixtures("shadows_alone")
 def test_a_thing_that_takes_as_much_everywhere_leaves_edges_of_the_hands_own_shadow_as_they_are():
     assert AVATAR.learned is not None
     assert AVATAR.learned.cast is not None
@@ -523,7 +521,7 @@ def test_half_of_it_at_pixels_is_the_mean_of_all_and_none(at_gaussians, monkeypa
     assert np.abs(half - (whole + none) / 2).max() < 0.002
 
 
-@pytest.mark.usefixtures("soft_fingers")
+@pytest.mark.usefixtures("shadows_alone")
 def test_edges_of_shadows_are_as_wide_as_pixels():
     """What finer pixels show in the mean: skin that light grazes has an edge within one."""
     grazing, finer = replace(SUN, place_m=(0.8, 0.5, 0.3)), 3
