@@ -36,7 +36,7 @@ BENEATH_FROM, BENEATH_WHOLE = 0.1, 0.5
 # coverage from which on all of a pixel is covered: nothing beneath would add to its color
 COVER_WHOLE = 1 - BENEATH_FROM
 # where the skin at a pixel is known Gaussians from so far before to so far behind it are its own, meters of a hand of
-# scale 1, more where it is steep, up to so many times: they lie 0.5 mm below it, and are a millimeter wide. Others have
+# scale 1, more where it is steep, up to so many times: they lie a millimeter below it, and are as wide. Others have
 # this part of their alpha, so that skin without Gaussians of its own has a color, too
 OWN_BEFORE_M, OWN_BEHIND_M, OWN_STEEPEST, OTHERS_PART = 1.5e-3, 3e-3, 4.0, 0.1
 # skin so much deeper than that of the next pixel is behind its edge, meters of a hand of scale 1, and widths of a

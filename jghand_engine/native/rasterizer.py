@@ -114,6 +114,15 @@ class SeenSurface:
     scale: float
     part: float
 
+    def first_pixel(self, width: int, height: int) -> tuple[int, int]:
+        """Address of the first pixel of an image of that size, and floats from row to row.
+
+        InputError for another size.
+        """
+        margin = SURFACE_MARGIN_PX
+        address(self.near, np.float32, "near", (height + 2 * margin, width + 2 * margin))
+        return self.near[margin:, margin:].ctypes.data, self.near.shape[1]
+
 
 @dataclass(frozen=True)
 class View:
@@ -257,10 +266,8 @@ class NativeRasterizer:
 
     def set_surface(self, surface: SeenSurface) -> None:
         """Of the image that was prepared; it need not be there before `run`. Without it all Gaussians count alike."""
-        job, margin, self._surface = self._job, SURFACE_MARGIN_PX, surface
-        shape = (job.height + 2 * margin, job.width + 2 * margin)
-        address(surface.near, np.float32, "near", shape)
-        job.surface, job.surface_stride = surface.near[margin:, margin:].ctypes.data, shape[1]
+        job, self._surface = self._job, surface
+        job.surface, job.surface_stride = surface.first_pixel(job.width, job.height)
         job.own_before, job.own_behind = surface.scale * contract.OWN_BEFORE_M, surface.scale * contract.OWN_BEHIND_M
         job.own_steepest, job.others_part = contract.OWN_STEEPEST, 1 - surface.part * (1 - contract.OTHERS_PART)
 

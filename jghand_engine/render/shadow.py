@@ -16,7 +16,7 @@ import numpy as np
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
-from jghand_engine.native.rasterizer import SURFACE_MARGIN_PX, SeenSurface
+from jghand_engine.native.rasterizer import SeenSurface
 from jghand_engine.native.tasks import (
     LANES,
     PAD_COLUMNS,
@@ -125,9 +125,9 @@ class NativeShade:
 
     def set_surface(self, surface: SeenSurface) -> None:
         """Of the image that was prepared: edges of its skin before other skin are smoothed."""
-        task, margin = self.task, SURFACE_MARGIN_PX
+        task = self.task
         self._keep = (*self._keep, surface.near)
-        task.surface, task.surface_stride = surface.near[margin:, margin:].ctypes.data, surface.near.shape[1]
+        task.surface, task.surface_stride = surface.first_pixel(task.width, task.height)
         task.edge_step, task.edge_steepness = surface.scale * contract.EDGE_STEP_M, contract.EDGE_STEEPNESS
         task.edge_part = surface.part
 
